@@ -169,8 +169,7 @@ def _report(error: BaseException) -> int:
     if not isinstance(error, PropertyViolated) or any(is_plan(each.tb_frame) for each in entries(error.__traceback__)):
         tell(format_folded(error, PycramError).rstrip())
     kind = "uses PyCRAM wrongly" if isinstance(error, PycramError) else "has an error"
-    how = "failed" if isinstance(error, PlanFailure) else kind
-    text = f"the plan {how}: {format_error(error)}"
+    text = f"the plan {'failed' if isinstance(error, PlanFailure) else kind}: {format_error(error)}"
     innermost = entries(error.__traceback__)[-1:]
     if type(error) is AssertionError and innermost and is_plan(innermost[0].tb_frame):
         line = getline(innermost[0].tb_frame.f_code.co_filename, innermost[0].tb_lineno)

@@ -45,8 +45,7 @@ class Rendering:
         """Return an RGB image (height, width, 3), lit from the camera and from above (``up`` in the camera's frame)."""
         image = self._lit(up)[self.seen]
         empty = self.seen < 0
-        sky = np.asarray(np.linspace(*_SKY, len(image)) * 255, dtype=np.uint8)
-        image[empty] = sky[np.nonzero(empty)[0]]
+        image[empty] = np.asarray(np.linspace(*_SKY, len(image)) * 255, dtype=np.uint8)[np.nonzero(empty)[0]]
         return image
 
     def picture_before(
@@ -283,8 +282,7 @@ def _bounds(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], N
     """Return the first pixel along an axis whose center may be in each triangle, and the pixels' end."""
     a, b, c = axis.T  # the minimum of three columns is much faster than the minimum along rows
     low = np.ceil(np.clip(np.minimum(np.minimum(a, b), c), 0, limit)).astype(np.int64)
-    high = np.floor(np.clip(np.maximum(np.maximum(a, b), c), -1, limit - 1)).astype(np.int64) + 1
-    return low, high
+    return low, np.floor(np.clip(np.maximum(np.maximum(a, b), c), -1, limit - 1)).astype(np.int64) + 1
 
 
 def _bands(
@@ -348,8 +346,7 @@ def _odd_first(triangles: NDArray[np.float64], odd: NDArray[np.bool_]) -> tuple[
 
 def _at(a: NDArray[np.float64], b: NDArray[np.float64], near: float) -> NDArray[np.float64]:
     """Return the points at which edges cross the near plane."""
-    share = (near - a[:, 2]) / (b[:, 2] - a[:, 2])
-    return a + share[:, None] * (b - a)
+    return a + ((near - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None] * (b - a)
 
 
 def _covered(
@@ -365,6 +362,5 @@ def _covered(
     cuts = np.flatnonzero(np.diff(np.cumsum(counts) // _BATCH, prepend=0))
     for group in np.split(np.arange(len(shown)), cuts):
         part = np.repeat(shown[group], counts[group])
-        begin = np.cumsum(counts[group]) - counts[group]
-        offset = np.arange(len(part)) - np.repeat(begin, counts[group])
+        offset = np.arange(len(part)) - np.repeat(np.cumsum(counts[group]) - counts[group], counts[group])
         yield part, left[part] + offset % wide[part], top[part] + offset // wide[part]

@@ -34,8 +34,7 @@ def title() -> str:
 
 def cell_of(file: str) -> str:
     """Return the name of a cell, such as "In [3]", from the file name of its compiled code; "" for other files."""
-    shell = _shell()
-    number = getattr(getattr(shell, "compile", None), "_filename_map", {}).get(file)
+    number = getattr(getattr(_shell(), "compile", None), "_filename_map", {}).get(file)
     return f"In [{number}]" if number is not None else ""
 
 

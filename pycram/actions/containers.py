@@ -200,8 +200,7 @@ def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:
 
 
 def _move(access: Access, arm: str, distance: float, place: Sequence[float], orientation: Sequence[float]) -> None:
-    robot = BulletWorld.current_robot()
-    position, turn = robot.get_position_and_orientation()
+    position, turn = BulletWorld.current_robot().get_position_and_orientation()
     if math.dist(position, place) > _SAME[0] or geometry.angle(turn, orientation) > _SAME[1]:
         perform(MotionDesignator(type="moving", target=place, orientation=orientation))
     perform(

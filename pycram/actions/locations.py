@@ -231,8 +231,7 @@ def resolve(designator: LocationDesignator) -> Iterator[Solution]:
 def _objects_places(slots: Mapping[str, Any]) -> Iterator[FoundPlace]:
     if "for" not in slots:
         known = sorted({body.type for body in _furniture() if not body.is_environment})
-        problem = f"missing slot for: the object to put down; {suggestion('', known)}"
-        raise _SLOTS.error(problem, "for")
+        raise _SLOTS.error(f"missing slot for: the object to put down; {suggestion('', known)}", "for")
     side, near = slots.get("side"), slots.get("near")
     robot = slots.get("reachable-for")
     return free_places(

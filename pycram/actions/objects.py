@@ -61,18 +61,15 @@ def resolve(designator: ObjectDesignator) -> Iterator[Solution]:
     candidates = _candidates(designator)
     known = [belief for belief in beliefs() if belief.object in candidates]
     if not known:
-        reasons = {body.name: "was never seen" for body in candidates}
-        raise PerceptionError(candidates[0].type, reasons)
+        raise PerceptionError(candidates[0].type, {body.name: "was never seen" for body in candidates})
     for belief in known:
         yield {"object": belief.object, "position": list(belief.position), "orientation": list(belief.orientation)}
 
 
 def _candidates(designator: ObjectDesignator) -> list[Object]:
     """Return the objects of the world that a designator describes; raise DesignatorError without such an object."""
-    given = {key: unwrap(value) for key, value in designator.description if value is not None}
-    wanted = _SLOTS.checked(given)
-    world = BulletWorld.current_robot().world
-    found = world.objects
+    wanted = _SLOTS.checked({key: unwrap(value) for key, value in designator.description if value is not None})
+    found = BulletWorld.current_robot().world.objects
     for slot, value in wanted.items():
         known = sorted({str(getattr(body, slot)) for body in found if not body.is_robot})
         found = [body for body in found if getattr(body, slot) == value]

@@ -51,8 +51,7 @@ def picked_up(robot: Object, arm: Arm, chain: Chain) -> Iterator[tuple[str, int,
         for place, pose in places:
             table.set_position_and_orientation(*pose)
             body = Object(name, name, f"{name}.stl", world=world)
-            low = body.get_AABB()[0][2]
-            body.set_position([place[0], place[1], pose[0][2] + _TOP - low + _CLEAR])
+            body.set_position([place[0], place[1], pose[0][2] + _TOP - body.get_AABB()[0][2] + _CLEAR])
             try:
                 PickUp().execute(MotionDesignator([("type", "pick-up"), ("object", body), ("arm", arm.name)]))
                 taken += 1
@@ -279,8 +278,7 @@ def parked(robot: Object, arm: Arm) -> list[float]:
     chain = chain_of(robot, arm)
     postures = chain.limited(halton_postures(chain, 0, _TRIED))
     root = geometry.pose_matrix(robot.urdf.forward_kinematics(robot.get_joint_positions(), arm.base_link))
-    frames = np.concatenate([chain.frames(postures), chain.poses(postures)[None]])
-    points = (root @ frames)[:, :, :3, 3]
+    points = (root @ np.concatenate([chain.frames(postures), chain.poses(postures)[None]]))[:, :, :3, 3]
     size = np.hypot(points[:, :, 0], points[:, :, 1]).max(axis=0)
     low = np.maximum(_FLOOR - points[:, :, 2].min(axis=0), 0.0)
     middle = np.abs((postures - chain.lower) / (chain.upper - chain.lower) - 0.5).max(axis=1)

@@ -257,8 +257,7 @@ def _tables(kind: str, found: list[str], said: Mapping[str, Any], now: Mapping[s
     """Yield a table for each surface or container, with its corrections; a comment describes the thing."""
     for key in dict.fromkeys([*found, *said]):
         entries = said.get(key, {})
-        about = now.get(entries.get("name", key), "removed")
-        yield from ("", f"[{kind}.{quoted(key)}]  # {about}")
+        yield from ("", f"[{kind}.{quoted(key)}]  # {now.get(entries.get('name', key), 'removed')}")
         for entry, value in entries.items():  # JSON values are TOML values, except infinity
             yield f"{entry} = {'inf' if value == math.inf else json.dumps(value, ensure_ascii=False)}"
 

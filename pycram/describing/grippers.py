@@ -209,8 +209,7 @@ def _one_jaw(tree: JointTree, corners: Corners, palm: str, jaw: str, joint: Urdf
     axes = _frame(out, apart)
     if axes is None:
         return None
-    facing = others[anvil][np.linalg.norm(others[anvil] - tip, axis=1).argmin()]
-    frame = (tip + facing) / 2, axes
+    frame = (tip + others[anvil][np.linalg.norm(others[anvil] - tip, axis=1).argmin()]) / 2, axes
     shut = {joint.name: closed}
     hands = (
         _fitted(tree, corners, palm, frame, [jaw, anvil], (shut, opening))

@@ -234,8 +234,7 @@ def _decide(runs: PlanRunner, result: Exploration, attempts: Mapping[int, Ordere
     for found in result.found[1:_EXPLAINED] if result.deterministic else ():
         if found.ending.kind in _WITH_ORDER:
             of_it = [each for each in attempts.values() if each.ending.is_like(found.ending)]
-            shortest = min(of_it, key=lambda attempt: len(attempt.made))
-            least = _reduced(runs, shortest.precedences, found.ending)
+            least = _reduced(runs, min(of_it, key=lambda attempt: len(attempt.made)).precedences, found.ending)
             if least is None:
                 result.deterministic = False
                 return

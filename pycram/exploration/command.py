@@ -12,18 +12,7 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Final
 
-from pycram import running
-from pycram.exploration import (
-    DEADLOCK,
-    DEPTH,
-    LIMIT,
-    SUCCEEDED,
-    Ending,
-    EndingGroup,
-    Exploration,
-    NotExplorable,
-    explore_runs,
-)
+from pycram import exploration, running
 from pycram.running import RunSpec
 from pycram.scheduling.order import BranchLine
 from recorder.errors import RecordingError
@@ -52,19 +41,19 @@ def run(spec: RunSpec, options: argparse.Namespace, log: Path) -> int:
             sys.stderr.write(f"\r{done} of {options.explore} orders " if done < options.explore else "\r\033[K")
             sys.stderr.flush()
 
-    depth = options.depth or DEPTH
+    depth = options.depth or exploration.DEPTH
     try:
-        result = explore_runs(
+        result = exploration.explore_runs(
             run_once,
             options.explore,
             depth=depth,
-            limit=options.limit or LIMIT,
+            limit=options.limit or exploration.LIMIT,
             plan=spec.plan,
             file=log,
             overwrite=options.overwrite,
             progress=show,
         )
-    except (NotExplorable, RecordingError) as error:
+    except (exploration.NotExplorable, RecordingError) as error:
         running.tell(f"pycram: {error}")
         return running.WRONG_USAGE
     motion = ["--motion", spec.motion] if spec.motion else []
@@ -79,11 +68,11 @@ def run(spec: RunSpec, options: argparse.Namespace, log: Path) -> int:
         print(*_lines(result, command, rest, depth), sep="\n")
     if result.interrupted:
         return running.INTERRUPTED
-    succeeded = all(found.ending.kind == SUCCEEDED for found in result.found)
+    succeeded = all(found.ending.kind == exploration.SUCCEEDED for found in result.found)
     return running.SUCCEEDED if succeeded and result.alike else running.FAILED
 
 
-def _data(result: Exploration, command: list[str], rest: list[str]) -> dict[str, object]:
+def _data(result: exploration.Exploration, command: list[str], rest: list[str]) -> dict[str, object]:
     return {
         "runs": result.runs,
         "orders": result.orders,
@@ -105,7 +94,7 @@ def _data(result: Exploration, command: list[str], rest: list[str]) -> dict[str,
     }
 
 
-def _lines(result: Exploration, command: list[str], rest: list[str], depth: int) -> Iterator[str]:
+def _lines(result: exploration.Exploration, command: list[str], rest: list[str], depth: int) -> Iterator[str]:
     if result.interrupted:
         yield f"interrupted after {result.runs} runs; so far:"
     if not result.runs:
@@ -139,16 +128,16 @@ def _lines(result: Exploration, command: list[str], rest: list[str], depth: int)
         yield from _recording(found)
 
 
-def _recording(found: EndingGroup) -> Iterator[str]:
+def _recording(found: exploration.EndingGroup) -> Iterator[str]:
     if found.recording is not None:
         name = shlex.quote(_shown(found.recording))
-        yield f"  pycram-replay {'info' if found.ending.kind == SUCCEEDED else 'why'} {name}"
+        yield f"  pycram-replay {'info' if found.ending.kind == exploration.SUCCEEDED else 'why'} {name}"
 
 
-def _words(ending: Ending, first: Ending | None = None) -> str:
+def _words(ending: exploration.Ending, first: exploration.Ending | None = None) -> str:
     """Return an ending in words; for a successful ending, with its differences from the first successful ending."""
     words = ending.kind
-    if ending.kind == DEADLOCK:
+    if ending.kind == exploration.DEADLOCK:
         return f"{words}: {ending.failure.partition('wake them: ')[2]}"
     if ending.failure:
         failure = " ".join(ending.failure.split())
@@ -157,7 +146,7 @@ def _words(ending: Ending, first: Ending | None = None) -> str:
         words += f" at {_shown_line(ending.plan_line)}"
     if ending.line != ending.plan_line:
         words += f", in {_shown_line(ending.line)}"
-    if first is None or first is ending or ending.kind != SUCCEEDED:
+    if first is None or first is ending or ending.kind != exploration.SUCCEEDED:
         return words
     otherwise = list(ending.differences(first))
     more = [f"{len(otherwise) - _MAX_PRINTED} more"] if len(otherwise) > _MAX_PRINTED else []

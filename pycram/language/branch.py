@@ -135,8 +135,7 @@ class Branch:
 
 def name_of(action: Callable[..., Result]) -> str:
     """Return the qualified name of a function, without its module and without an enclosing function."""
-    name = getattr(action, "__qualname__", None) or type(action).__qualname__
-    return str(name).rpartition("<locals>.")[2]
+    return str(getattr(action, "__qualname__", None) or type(action).__qualname__).rpartition("<locals>.")[2]
 
 
 def label_of(action: Callable[..., Result], args: tuple[object, ...], kwargs: Mapping[str, object]) -> str:

@@ -13,15 +13,7 @@ from typing import TYPE_CHECKING
 from pycram.foundation.checks import number
 from pycram.foundation.failures import BadArgument, NoWorld, PlanFailure
 from pycram.language.nesting import scope, sequential
-from pycram.scheduling.cancellation import (
-    CancelScope,
-    Deadline,
-    Limit,
-    current_scope,
-    entered,
-    limited,
-    raise_if_cancelled,
-)
+from pycram.scheduling import cancellation
 from pycram.scheduling.schedule import scheduler
 from pycram.world.simulation import WorldClock
 from recorder.records import STEPS_PER_SECOND
@@ -35,8 +27,7 @@ class TimedOut(PlanFailure):
     """A part of the plan missed its deadline."""
 
     def __init__(self, seconds: float, clock: str) -> None:
-        simulated = " of simulated time" if clock == "simulated" else ""
-        super().__init__(f"not done within {seconds:g} s{simulated}")
+        super().__init__(f"not done within {seconds:g} s{' of simulated time' if clock == 'simulated' else ''}")
         self.seconds = seconds  # the time limit
         self.clock = clock  # "wall" or "simulated"
 
@@ -59,13 +50,13 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
     if limit < 0:
         raise BadArgument("seconds", seconds, "a number from 0 up")
     clock = "simulated" if simulated else "wall"
-    with sequential() as settle, (_simulated_deadline if simulated else Deadline)(limit) as deadline:
-        outer = current_scope()
-        cancel_scope = CancelScope(outer, deadline)
+    with sequential() as settle, (_simulated_deadline if simulated else cancellation.Deadline)(limit) as deadline:
+        outer = cancellation.current_scope()
+        cancel_scope = cancellation.CancelScope(outer, deadline)
         with span("timeout", f"{limit:g} s", {"seconds": limit, "clock": clock}) as task:
             try:
-                with entered(cancel_scope):
-                    raise_if_cancelled()
+                with cancellation.entered(cancel_scope):
+                    cancellation.raise_if_cancelled()
                     yield
                     settle()
                     if deadline.was_missed:  # motions aren't interrupted, and may end long after the deadline
@@ -77,11 +68,11 @@ def timeout(seconds: float, *, simulated: bool = False) -> Iterator[None]:
                 raise
 
 
-class _SimulatedDeadline(Limit):
+class _SimulatedDeadline(cancellation.Limit):
     def __init__(self, world: BulletWorld, seconds: float) -> None:
         super().__init__()
         self._world = world
-        self.end = world.sim_step + round(limited(seconds) * STEPS_PER_SECOND)
+        self.end = world.sim_step + round(cancellation.limited(seconds) * STEPS_PER_SECOND)
         self.clock = WorldClock(world, last=True)
 
     @property
@@ -94,7 +85,7 @@ class _SimulatedDeadline(Limit):
 
 
 @contextmanager
-def _simulated_deadline(seconds: float) -> Iterator[Limit]:
+def _simulated_deadline(seconds: float) -> Iterator[cancellation.Limit]:
     from pycram.world.world import BulletWorld  # noqa: PLC0415  worlds don't know plans
 
     world = BulletWorld.current_bullet_world

@@ -61,8 +61,7 @@ def _furniture(path: Path, corrections: bytes, source: str) -> Furniture:
 
 def find_furniture(path: Path, urdf: Urdf) -> Furniture:
     """Return the surfaces and containers of a canonical URDF, without corrections."""
-    closed = {name: closed_position(urdf.joints[name]) for name in urdf.movable}
-    poses = urdf.link_poses(closed)
+    poses = urdf.link_poses({name: closed_position(urdf.joints[name]) for name in urdf.movable})
     every = pieces(path, poses)
     floor = min((float(piece.low[2]) for piece in every), default=0.0)
     offered = [face for face in faces(every) if _is_usable(face, floor, every)]
@@ -136,8 +135,7 @@ class _Search:
         joint = self._movers[link]
         if joint is None or joint.type != "prismatic" or not _TRAVEL[0] <= joint.upper - joint.lower <= _TRAVEL[1]:
             return None
-        axis = geometry.rotate(self._poses[joint.child][1], joint.axis)
-        return joint if abs(axis[2]) < _LEVEL else None
+        return joint if abs(geometry.rotate(self._poses[joint.child][1], joint.axis)[2]) < _LEVEL else None
 
     def _opened_by(self, face: Face, drawers: set[str]) -> str | None:
         """Return the joint of the door that hides a face; "" for a visible face, None if no joint gives access."""

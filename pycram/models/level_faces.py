@@ -98,13 +98,11 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, leas
     width, depth = np.ptp(corners, axis=0)
     if min(width, depth) < least.side or width * depth * (1.0 + _ROUNDING) < least.area:
         return
-    rounded = geometry.convex_hull(corners)
-    hull = corners[[np.abs(corners - corner).sum(axis=1).argmin() for corner in rounded]]
+    hull = corners[[np.abs(corners - corner).sum(axis=1).argmin() for corner in geometry.convex_hull(corners)]]
     if _area(hull) < least.area:
         return
     around = (bounds[:, 0, :2] < edges.max(axis=0)) & (bounds[:, 1, :2] > edges.min(axis=0))
-    over = around.all(axis=1) & (bounds[:, 1, 2] > height + _ROUGH)
-    above = list(itertools.compress(every, over))
+    above = list(itertools.compress(every, around.all(axis=1) & (bounds[:, 1, 2] > height + _ROUGH)))
     rows, columns = _lines([*tops, *above], turn, hull)
     middles = np.stack(np.meshgrid(*((line[1:] + line[:-1]) / 2 for line in (rows, columns)), indexing="ij"), axis=-1)
     standing, clearance = _free(tops, above, height, middles @ turn.T)
@@ -150,8 +148,7 @@ def _yaw(piece: Piece) -> float:
     x, y = piece.planes[np.abs(piece.planes[:, 2]) < _ALONG, :2].T
     if not len(x):
         return 0.0
-    angles = np.arctan2(y, x)
-    turned = (angles + math.pi / 4) % (math.pi / 2) - math.pi / 4
+    turned = (np.arctan2(y, x) + math.pi / 4) % (math.pi / 2) - math.pi / 4
     nearest = turned[np.abs(turned).argmin()]
     return float(nearest) if abs(nearest) > _ALONG else 0.0
 
@@ -242,8 +239,7 @@ class Piece:
 
 def vertical_extents(every: Sequence[Piece], points: Array) -> tuple[Array, Array]:
     """Return the heights (n, m) where vertical lines through points (n, 2) enter and leave m pieces; see _through()."""
-    origins = np.column_stack([points, np.zeros(len(points))])
-    return _through(every, origins, np.array([[0.0, 0.0, 1.0]]))
+    return _through(every, np.column_stack([points, np.zeros(len(points))]), np.array([[0.0, 0.0, 1.0]]))
 
 
 def first_met(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[NDArray[np.intp], Array]:

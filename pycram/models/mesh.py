@@ -365,8 +365,7 @@ def _with_normals(content: bytes) -> bytes:
         return content
     a, b, c = (numbers[missing, corner].astype(np.float64) for corner in (1, 2, 3))
     normals = np.cross(b - a, c - a)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    numbers[missing, 0] = normals / np.maximum(lengths, 1e-30)
+    numbers[missing, 0] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-30)
     return bytes(content[:_STL_HEADER] + table.tobytes())
 
 

@@ -89,8 +89,7 @@ def _ends(shape: Shape, folder: Path) -> Ends:
             return low, [at + edge / 2 for at, edge in zip(position, shape.size, strict=True)]
         if shape.kind == "mesh":
             return bounds(_mesh_ends(folder / shape.mesh) * shape.size + position)
-    corners = _CUBE * shape.size if shape.kind == "box" else _triangles(shape, folder)
-    return bounds(_placed(shape, corners))
+    return bounds(_placed(shape, _CUBE * shape.size if shape.kind == "box" else _triangles(shape, folder)))
 
 
 @lru_cache(maxsize=256)

@@ -81,8 +81,7 @@ def bake(triangles: Array, uv: Array, image: Image.Image) -> Iterator[tuple[Arra
     middle = uv.mean(axis=1) % 1.0
     height, width = pixels.shape
     columns = np.minimum((middle[:, 0] * width).astype(np.intp), width - 1)
-    rows = np.minimum(((1.0 - middle[:, 1]) * height).astype(np.intp), height - 1)
-    numbers = pixels[rows, columns]
+    numbers = pixels[np.minimum(((1.0 - middle[:, 1]) * height).astype(np.intp), height - 1), columns]
     for number in np.unique(numbers):
         red, green, blue = palette[number].tolist()
         yield triangles[numbers == number], (red, green, blue, 1.0)

@@ -432,8 +432,7 @@ class Engine:
 
     def closest_points(self, a: LoadedBody, b: LoadedBody, distance: float = 0.0) -> list[ClosestPoint]:
         """Return the closest points of each two links of two bodies, if the links are at most ``distance`` m apart."""
-        points = bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client)
-        return _named(a, b, points)
+        return _named(a, b, bullet.getClosestPoints(a.id, b.id, distance, physicsClientId=self._client))
 
     def deepest(self, a: LoadedBody, b: LoadedBody) -> ClosestPoint | None:
         """Return the closest points where two bodies overlap most; None if they don't touch."""

@@ -105,8 +105,7 @@ def _toppra() -> Any:
 def _fastest(path: Array, rates: Rates, spacing: float) -> Knots:
     dense = np.concatenate([path[:1], *(between(a, b, spacing) for a, b in pairwise(path))])
     toppra = _toppra()
-    lengths = np.linalg.norm(np.diff(dense, axis=0), axis=1)
-    at = np.concatenate([[0.0], np.cumsum(lengths)])
+    at = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(dense, axis=0), axis=1))])
     spline = toppra.SplineInterpolator(at, dense @ rates.directions.T, "natural")  # splines of the limited sums
     constraints = [
         toppra.constraint.JointVelocityConstraint(rates.velocities),
@@ -139,8 +138,7 @@ def slowed(knots: Knots, rates: Rates) -> Knots:
     velocities = 6 * s * (1 - s) * mean + (1 - s) * (1 - 3 * s) * v + s * (3 * s - 2) * w
     accelerations = np.stack([6 * mean - 4 * v - 2 * w, 2 * v + 4 * w - 6 * mean]) / spans
     fast = float((np.abs(velocities) / rates.velocities).max())
-    strong = math.sqrt(float((np.abs(accelerations) / rates.accelerations).max()))
-    slower = max(1.0, fast, strong)
+    slower = max(1.0, fast, math.sqrt(float((np.abs(accelerations) / rates.accelerations).max())))
     return Knots(knots.times * slower, knots.positions, knots.velocities / slower)
 
 

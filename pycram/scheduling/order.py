@@ -165,8 +165,7 @@ class Order:
     def begin(self, by: Ranked) -> Ranked:
         """Return the rank of a new branch, which is the last rank."""
         by.begun += 1
-        number = str(by.begun) if by is self.outside else f"{by.number}.{by.begun}"
-        self._ranks.append(branch := Ranked(number))
+        self._ranks.append(branch := Ranked(str(by.begun) if by is self.outside else f"{by.number}.{by.begun}"))
         return branch
 
     def end(self, branch: Ranked) -> None:

@@ -178,8 +178,7 @@ def _plan_line(branch: _Branch | None, suspended: greenlet | None) -> BranchLine
         own = [line for line in lines if line[0] == branch.site[0]] or [branch.site]
         return BranchLine(branch.name, *own[deciding(own)], branch.label())
     own = [line for line in lines if line[0] == lines[-1][0]]
-    site = own[deciding(own)] if own else ("", 0)
-    return BranchLine(threading.current_thread().name, *site)
+    return BranchLine(threading.current_thread().name, *(own[deciding(own)] if own else ("", 0)))
 
 
 def schedule(ready: OrderedDict[Ready, None], dice: random.Random | None, order: Order | None = None) -> Ready:

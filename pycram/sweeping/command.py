@@ -111,8 +111,7 @@ def _lines(result: Sweep, folder: str, seconds: float) -> Iterator[str]:
         causes.setdefault(_NUMBER.sub("#", each.failure), []).append(each)
     for alike in sorted(causes.values(), key=len, reverse=True)[:_SHOWN]:
         why = f"pycram-replay why {shlex.quote(f'{folder}/{alike[0].name}')}"
-        printable = "".join(each if each.isprintable() else " " for each in alike[0].failure)
-        line = " ".join(printable.split())
+        line = " ".join("".join(each if each.isprintable() else " " for each in alike[0].failure).split())
         yield f"  {len(alike):4}  {line if len(line) <= _WIDTH else f'{line[: _WIDTH - 3]}...'}  {why}"
     if len(causes) > _SHOWN:
         yield f"        and {len(causes) - _SHOWN} more"

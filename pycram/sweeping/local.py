@@ -29,16 +29,7 @@ from pycram.failures import PlanFailure
 from pycram.foundation.errors import call_all, export
 from pycram.models import load, shapes, store
 from pycram.plan_parameters import Variations
-from pycram.projection.child import (
-    GRACE,
-    Child,
-    ChildPool,
-    ChildResult,
-    die_with,
-    limit_memory,
-    run_from_start,
-    usable_cores,
-)
+from pycram.projection import child
 from pycram.running import MAX_SEED, RunSpec
 from recorder.errors import RecordingError
 from recorder.mcap_sink import McapSink
@@ -107,8 +98,7 @@ class SweepSpec:
         """Return the sweep from JSON data."""
         given = facts["shared"]
         texts = {name: tuple(given[name]) for name in ("arguments", "checks")}
-        shared = RunSpec(**{**given, **texts, "plan": Path(given["plan"])})
-        return cls(**{**facts, "shared": shared})
+        return cls(**{**facts, "shared": RunSpec(**{**given, **texts, "plan": Path(given["plan"])})})
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,7 +145,7 @@ def run_once(
     """
     run, part, name = spec.run(number), spec.part(number), spec.name(number)
     if spec.memory and not lost:
-        limit_memory(spec.memory)
+        child.limit_memory(spec.memory)
     sinks: list[_RunSink] = []
     refused: list[str] = []
 
@@ -238,7 +228,7 @@ class Local:
         from pycram.bullet_world_reasoning import blocking, contact, stable, visible  # noqa: F401, PLC0415
 
         self._spec = spec
-        self._pool: ChildPool[_Job] = ChildPool(cores or usable_cores(), spec.limit, GRACE)
+        self._pool: child.ChildPool[_Job] = child.ChildPool(cores or child.usable_cores(), spec.limit, child.GRACE)
         self._models = SharedModels.of(Path(spec.folder) / models) if models else None
         self._warm = False  # whether this process has loaded the models of a run
         store.folder()  # creates the folder that all runs use
@@ -259,10 +249,10 @@ class Local:
         waiting = deque(map(_Job, numbers))
         going = {job.number for job in waiting}
 
-        def start(job: _Job) -> Child:
+        def start(job: _Job) -> child.Child:
             began = time.monotonic()  # measured now, because the child's time limit begins later
             once = partial(run_once, self._spec, job.number, job.attempt, self._models, began)
-            return run_from_start(partial(once, lost=job.lost))
+            return child.run_from_start(partial(once, lost=job.lost))
 
         try:
             with closing(self._pool.run(waiting, start)) as results:
@@ -277,7 +267,7 @@ class Local:
             for number in going:  # the runs were killed
                 self._spec.part(number).unlink(missing_ok=True)
 
-    def _again(self, job: _Job, result: ChildResult) -> _Job | None:
+    def _again(self, job: _Job, result: child.ChildResult) -> _Job | None:
         """Return the job that repeats or records a run whose process was killed; None for other runs."""
         if job.lost or (result.answer and not result.late):
             return None
@@ -297,7 +287,7 @@ class Local:
             cause += f"; its incomplete recording is {kept.name}"
         return _Job(job.number, job.attempt, cause)
 
-    def _outcome(self, job: _Job, result: ChildResult) -> RunOutcome:
+    def _outcome(self, job: _Job, result: child.ChildResult) -> RunOutcome:
         if not result.answer:  # the child that records the lost run has failed, too
             how = f"its process {result.how}"
             return RunOutcome(job.number, self._spec.name(job.number), succeeded=False, unrecorded=how)
@@ -372,7 +362,7 @@ class Worker:
 
 def main() -> None:
     """Make the runs of batches until stdin ends."""
-    die_with(int(sys.argv[1]))
+    child.die_with(int(sys.argv[1]))
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # libraries may also print to stdout
     local: Local | None = None

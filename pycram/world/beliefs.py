@@ -40,8 +40,7 @@ class WorldBeliefs:
 
     def look(self, evidence: Mapping[str, object], steps: Steps = MappingProxyType({})) -> None:
         """Update the beliefs after a perception with evidence of :func:`recorder.records.beliefs.sightings`."""
-        learned = fold.look(self._beliefs, evidence, self._world.sim_step)
-        self._steps.update(dict.fromkeys(learned, steps))
+        self._steps.update(dict.fromkeys(fold.look(self._beliefs, evidence, self._world.sim_step), steps))
 
     def follow(self, transaction: Transaction, steps: Steps) -> None:
         """Update the beliefs after a transaction; ``steps`` are the steps of its record."""

@@ -357,8 +357,7 @@ def displacement(body: Object, trajectory: Trajectory) -> tuple[str, float, floa
 
 def _touching(body: Object, joint: str) -> list[CollisionPair]:
     """Return the contacts of a joint's moving links, with loads in the last step, the strongest first."""
-    moved = set(attachment.moved_links(body.urdf, [joint]))
-    movers: dict[Object, set[str]] = {body: moved}
+    movers: dict[Object, set[str]] = {body: set(attachment.moved_links(body.urdf, [joint]))}
     for mover in movers.copy():
         movers |= {held.body: set(held.body.links) for held in mover.carried if held.carrier_link in movers[mover]}
     bodies = {other.handle.id: other for other in body.world.objects}

@@ -118,8 +118,7 @@ class TransactionManager:
             yield transaction
             for name in transaction.removed:
                 self._recorded.pop(name, None)
-            steps = self._record(transaction) if journal.recording() else {}
-            self._world.beliefs.follow(transaction, steps)
+            self._world.beliefs.follow(transaction, self._record(transaction) if journal.recording() else {})
             due = self._since_keyframe >= TRANSACTIONS_PER_KEYFRAME
             if due and self._changed_since_keyframe >= len(self._world.objects) and not self._world.closed:
                 world, frame = self._world, self.keyframe()

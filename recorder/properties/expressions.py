@@ -494,8 +494,7 @@ class PropertyExpression:
 
 
 def _written(node: ast.expr) -> str:
-    text = ast.unparse(node)
-    return re.sub(rf"{_MEASURED}\(([^,]*), '([\w/]+)'\)", r"\1 \2", text)
+    return re.sub(rf"{_MEASURED}\(([^,]*), '([\w/]+)'\)", r"\1 \2", ast.unparse(node))
 
 
 def _meant(node: ast.expr) -> ast.expr:

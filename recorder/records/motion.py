@@ -37,8 +37,7 @@ def frame_name(world: str, body: str, link: str = "") -> str:
     """Return the name of the frame of a link; without a link, of the base."""
     name = _escaped(body) if world == _FIRST_WORLD else f"{_escaped(world)}//{_escaped(body)}"
     name = f"{name}/{_escaped(link)}" if link else name
-    reserved = name == ROOT or name.startswith(_RERUN_PREFIX)
-    return f"%{ord(name[0]):X}{name[1:]}" if reserved else name
+    return f"%{ord(name[0]):X}{name[1:]}" if name == ROOT or name.startswith(_RERUN_PREFIX) else name
 
 
 def _escaped(name: str) -> str:

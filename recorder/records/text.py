@@ -14,45 +14,21 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
 
-from recorder.records import (
-    STEPS_PER_SECOND,
-    Argument,
-    BeginTrajectory,
-    Candidate,
-    Check,
-    Decision,
-    Envelope,
-    Event,
-    Fluent,
-    Keyframe,
-    Mutation,
-    Output,
-    Overlap,
-    Query,
-    Record,
-    Refusal,
-    Run,
-    Simulate,
-    Subscription,
-    Task,
-    argument_values,
-    format_failure,
-    from_json,
-)
+from recorder import records
 
 if TYPE_CHECKING:
     Line: TypeAlias = tuple[str, Log.Level.ValueType]  # a text, and its level in the log
 
 _NS: Final = 1_000_000_000
 _DEBUG, _INFO, _WARNING, _ERROR = Log.DEBUG, Log.INFO, Log.WARNING, Log.ERROR
-_OF_PLAN: Final = frozenset({Task, Run, Output})
+_OF_PLAN: Final = frozenset({records.Task, records.Run, records.Output})
 _LEVELS: Final = {"DEBUG": _DEBUG, "INFO": _INFO, "WARNING": _WARNING, "ERROR": _ERROR, "CRITICAL": _ERROR}
 _LITTLE: Final = 0.005  # texts mention a share of an object outside of the picture from this share on
 _NOTABLE_ERROR: Final = 0.01  # minimum error of a motor, rad or m, that texts mention
 _THREE: Final = "[%.3f, %.3f, %.3f]"  # for the most frequent length, this is faster than a loop
 
 
-def log_line(record: Record, time_ns: int) -> bytes | None:
+def log_line(record: records.Record, time_ns: int) -> bytes | None:
     """Return the serialized line of a record; None if it has none. The time is in ns since the Unix epoch."""
     if not has_line(record):
         return None
@@ -63,59 +39,59 @@ def log_line(record: Record, time_ns: int) -> bytes | None:
     return line.SerializeToString()
 
 
-def has_line(record: Record) -> bool:
+def has_line(record: records.Record) -> bool:
     """Return whether a record has a line: all records except keyframes and requests for tasks."""
-    if type(record) is Task:  # isinstance would take five times as long
-        return record.phase != Task.ASKED
-    return type(record) is not Keyframe
+    if type(record) is records.Task:  # isinstance would take five times as long
+        return record.phase != records.Task.ASKED
+    return type(record) is not records.Keyframe
 
 
-def text_of(record: Record) -> Line:
+def text_of(record: records.Record) -> Line:
     """Return the text and level of a record's line."""
     return _TEXTS[type(record)](record)
 
 
-def _run(record: Run) -> Line:
-    if record.phase == Run.STARTED:
+def _run(record: records.Run) -> Line:
+    if record.phase == records.Run.STARTED:
         return f"{record.name} started", _INFO
-    if record.phase == Run.THREAD_FAILED:
-        return f"thread {record.thread} failed: {format_failure(record.failure)}", _ERROR
+    if record.phase == records.Run.THREAD_FAILED:
+        return f"thread {record.thread} failed: {records.format_failure(record.failure)}", _ERROR
     if record.succeeded:
         return f"{record.name} succeeded after {record.duration_ns / _NS:.3f} s", _INFO
-    return f"{record.name} failed: {format_failure(record.failure)}", _ERROR
+    return f"{record.name} failed: {records.format_failure(record.failure)}", _ERROR
 
 
-def _task(record: Task) -> Line:
+def _task(record: records.Task) -> Line:
     name, phase = f"{record.kind} {record.name}", record.phase
-    if phase == Task.STARTED:
+    if phase == records.Task.STARTED:
         return f"{name}({values(record.parameters)}){', already running' if record.began_ns else ''}", _INFO
-    if phase == Task.ASKED:
+    if phase == records.Task.ASKED:
         return f"{name} requested", _DEBUG
-    if phase == Task.LEFT:
+    if phase == records.Task.LEFT:
         return f"{name} still runs when the recording ends", _INFO
     took, status = f"{record.duration_ns / 1e6:.1f} ms", record.status
-    if status == Task.CANCELLED or is_timed_out(record):
-        return f"{name} {'was cancelled' if status == Task.CANCELLED else 'timed out'} after {took}", _WARNING
+    if status == records.Task.CANCELLED or is_timed_out(record):
+        return f"{name} {'was cancelled' if status == records.Task.CANCELLED else 'timed out'} after {took}", _WARNING
     decided = ""
     if record.kind == "motion" and record.HasField("decision") and (text := decision_text(record.decision)):
         decided = f", {text}"  # the record of the process module contains the same decision
-    if status == Task.SUCCEEDED:
+    if status == records.Task.SUCCEEDED:
         return f"{name} succeeded in {took}{decided}" + (f": {text}" if (text := foreseen(record)) else ""), _INFO
-    return f"{name} failed after {took}{decided}: {format_failure(record.failure)}", _ERROR
+    return f"{name} failed after {took}{decided}: {records.format_failure(record.failure)}", _ERROR
 
 
-def overlap_texts(body: str, overlaps: Iterable[Overlap], *, fixed: bool) -> list[str]:
+def overlap_texts(body: str, overlaps: Iterable[records.Overlap], *, fixed: bool) -> list[str]:
     """Return a text for each overlap of a loaded body. A free body is inside of a fixed body, in either order."""
     pairs = [(each, (each.body, body) if fixed else (body, each.body)) for each in overlaps]
     return [f"{inner} is {each.depth * 1e3:.0f} mm inside of {outer}" for each, (inner, outer) in pairs]
 
 
-def is_timed_out(record: Task) -> bool:
+def is_timed_out(record: records.Task) -> bool:
     """Return whether a record is the end of a wait that timed out; such a wait has the status succeeded."""
-    return record.kind == "wait" and record.phase == Task.FINISHED and record.result_json == "false"
+    return record.kind == "wait" and record.phase == records.Task.FINISHED and record.result_json == "false"
 
 
-def _query(record: Query) -> Line:
+def _query(record: records.Query) -> Line:
     asked = f"{record.name}({values(record.arguments)})"
     rejected = f"; {text}" if record.candidates and (text := rejections(record)) else ""
     if record.HasField("failure"):
@@ -125,7 +101,7 @@ def _query(record: Query) -> Line:
     return f"{asked} -> {by_name(record.answer_json)}{by}{rejected}", _INFO
 
 
-def _fluent(record: Fluent) -> Line:
+def _fluent(record: records.Fluent) -> Line:
     name, after = f"fluent {record.name}", record.after_json
     if record.by_fork:
         return f"{name}: {record.before_json} -> {after}, by the fork", _DEBUG
@@ -134,45 +110,48 @@ def _fluent(record: Fluent) -> Line:
     return f"{name}: {record.before_json} -> {after}", _DEBUG
 
 
-def _check(record: Check) -> Line:
-    if record.phase == Check.WATCHED:
+def _check(record: records.Check) -> Line:
+    if record.phase == records.Check.WATCHED:
         return f"watched: {record.property}", _INFO
-    when = f"step {record.step} ({record.moment / STEPS_PER_SECOND:.3f} s)"
+    when = f"step {record.step} ({record.moment / records.STEPS_PER_SECOND:.3f} s)"
     reason = f", {record.reason}" if record.reason else ""
     found = f"; {values(record.values)}" if record.values else ""
     return f"violated: {record.property} at {when}{reason}{found}", _ERROR
 
 
-_TEXTS: Final[Mapping[type[Record], Callable[[Any], Line]]] = {
-    Task: _task,
-    Mutation: lambda record: (mutation_text(record), _DEBUG),
-    Query: _query,
-    Event: lambda record: (f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers", _INFO),
-    Subscription: lambda record: (
+_TEXTS: Final[Mapping[type[records.Record], Callable[[Any], Line]]] = {
+    records.Task: _task,
+    records.Mutation: lambda record: (mutation_text(record), _DEBUG),
+    records.Query: _query,
+    records.Event: lambda record: (
+        f"event {record.name}({values(record.arguments)}), {len(record.handlers)} handlers",
+        _INFO,
+    ),
+    records.Subscription: lambda record: (
         f"handler {record.handler} {'removed from' if record.removed else 'added to'} event {record.name}"
         + (f" of {record.sender}" if record.sender else ""),
         _DEBUG,
     ),
-    Refusal: lambda record: (
-        f"refused: {record.name}({values(record.arguments)}): {format_failure(record.failure)}",
+    records.Refusal: lambda record: (
+        f"refused: {record.name}({values(record.arguments)}): {records.format_failure(record.failure)}",
         _WARNING,
     ),
-    Fluent: _fluent,
-    Check: _check,
-    Run: _run,
-    Output: lambda record: (
+    records.Fluent: _fluent,
+    records.Check: _check,
+    records.Run: _run,
+    records.Output: lambda record: (
         (f"{record.logger} {record.level}: {record.text}", _LEVELS.get(record.level, _INFO))
         if record.stream == "logging"
         else (f"{record.stream}: {record.text}", _WARNING if record.stream == "stderr" else _INFO)
     ),
-    Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),
-    Envelope: lambda _: ("a record of a kind that this release doesn't know", _DEBUG),
+    records.Keyframe: lambda record: (f"keyframe of {record.world}", _DEBUG),
+    records.Envelope: lambda _: ("a record of a kind that this release doesn't know", _DEBUG),
 }
 
 # Mutations
 
 
-def mutation_text(record: Mutation) -> str:
+def mutation_text(record: records.Mutation) -> str:
     """Return the text of a mutation's change, in a few words."""
     name = str(record.WhichOneof("command") or "change")
     command = getattr(record, name, None)
@@ -192,7 +171,7 @@ def _numbers(values: Sequence[float]) -> str:
     return _THREE % numbers if len(numbers) == 3 else f"[{', '.join([f'{number:.3f}' for number in numbers])}]"
 
 
-def _simulated(command: Simulate) -> str:
+def _simulated(command: records.Simulate) -> str:
     text = f"{command.steps} steps"
     for driven in command.driven[:]:
         text += f", {driven.body} at {driven.time:.3f} s of trajectory {driven.number}"
@@ -203,7 +182,7 @@ def _simulated(command: Simulate) -> str:
     return f"{text} until everything was at rest" if command.settled else f"{text}; not everything is at rest yet"
 
 
-def _began(command: BeginTrajectory) -> str:
+def _began(command: records.BeginTrajectory) -> str:
     trajectory, search = command.trajectory, command.search
     count = len(trajectory.joints)
     moved = f"{count} joints" if count > 1 else trajectory.joints[0] if count else "base"
@@ -245,7 +224,7 @@ _DETAILS: Final[Mapping[str, Callable[[Any], str]]] = {  # details by command
     "simulate": _simulated,
     "begin_trajectory": _began,
     "stop_trajectory": lambda command: f"{command.number} of {command.body}",
-    "restore": lambda command: f"the state of {command.sim_step / STEPS_PER_SECOND:.3f} s",
+    "restore": lambda command: f"the state of {command.sim_step / records.STEPS_PER_SECOND:.3f} s",
 }
 
 # Decisions
@@ -254,7 +233,7 @@ _OWN_RESOLVER: Final = "pycram.motions.motion_types.resolve"
 _OWN_ENVIRONMENT: Final = "simulated"
 
 
-def decision_text(decision: Decision, *, full: bool = False) -> str:
+def decision_text(decision: records.Decision, *, full: bool = False) -> str:
     """Return the text of a motion's decision. ``full`` also includes default values."""
     parts = []
     if full or decision.solution or decision.known > 1 or decision.resolver not in ("", _OWN_RESOLVER):
@@ -276,23 +255,23 @@ def decision_text(decision: Decision, *, full: bool = False) -> str:
 _ANSWERS: Final = ("true", "false", "[")  # the beginnings of yes, no and lists in JSON
 
 
-def is_choice(query: Query) -> bool:
+def is_choice(query: records.Query) -> bool:
     """Return whether a process module chose a candidate with this query."""
     return query.HasField("chosen") and not query.answer_json.startswith(_ANSWERS)
 
 
-def chosen_name(query: Query) -> str:
+def chosen_name(query: records.Query) -> str:
     """Return the name of a query's chosen candidate; "" if there is none."""
     known = query.HasField("chosen") and 0 <= query.chosen < len(query.candidates)
     return ", ".join(query.candidates[query.chosen].names) if known else ""
 
 
-def rejections(query: Query) -> str:
+def rejections(query: records.Query) -> str:
     """Return a line of the reasons for which a query rejected candidates; "" if there are none. Places are counted."""
     return fates_text(query) if query.grid.spots else "; ".join(rejection_lines(query))
 
 
-def rejection_lines(query: Query) -> Iterator[str]:
+def rejection_lines(query: records.Query) -> Iterator[str]:
     """Yield a line for each rejection of a query, with the rejected candidates and the reason."""
     if query.grid.spots:
         yield fates_text(query)
@@ -302,7 +281,7 @@ def rejection_lines(query: Query) -> Iterator[str]:
             yield f"{_named(candidate)}: {reason_text(candidate)}" if candidate.names else _named(candidate)
 
 
-def _named(candidate: Candidate) -> str:
+def _named(candidate: records.Candidate) -> str:
     names, count = list(candidate.names), max(candidate.count, len(candidate.names))
     if not names:
         return f"{count} more were rejected"
@@ -310,9 +289,9 @@ def _named(candidate: Candidate) -> str:
     return ", ".join(names) + more
 
 
-def reason_text(candidate: Candidate) -> str:
+def reason_text(candidate: records.Candidate) -> str:
     """Return the text of the reason for a rejection. The text of a user's own reason is its type and values."""
-    data: Mapping[str, Any] = argument_values(candidate.data)
+    data: Mapping[str, Any] = records.argument_values(candidate.data)
     text = rejection_text(candidate.reason, data)
     if text and candidate.count > 1:  # the values are those of the candidate that came nearest
         text = {"OutOfReach": f"{text} at best", "Misfit": "at best " * text[0].isdigit() + text}.get(
@@ -428,7 +407,7 @@ _MAX_LETTERS: Final = 80
 _MAX_FATES: Final = 4  # maximum number of different results in a line
 
 
-def fates(query: Query) -> Iterator[str]:
+def fates(query: records.Query) -> Iterator[str]:
     """Yield the result of each considered place of a query: "taken", or why the place was rejected.
 
     The text for a single place may differ from that for several places. Then the result contains both texts, with "|"
@@ -441,7 +420,7 @@ def fates(query: Query) -> Iterator[str]:
         yield names[spot.candidate] if 0 <= spot.candidate < len(names) else NOT_TRIED
 
 
-def fates_text(query: Query) -> str:
+def fates_text(query: records.Query) -> str:
     """Return the number of considered places with each result; "" if there are none.
 
     An example is "of 60 places 41 collide with the kitchen, 17 are out of reach, 1 was taken".
@@ -463,8 +442,8 @@ def fates_text(query: Query) -> str:
     return f"of {total} {'place' if total == 1 else 'places'} {', '.join(parts)}"
 
 
-def _fate(candidate: Candidate) -> str:
-    data, reason = argument_values(candidate.data), candidate.reason
+def _fate(candidate: records.Candidate) -> str:
+    data, reason = records.argument_values(candidate.data), candidate.reason
     if reason == "Touching":
         pairs = data.get("pairs")
         # the first pair has the deepest contact
@@ -481,7 +460,7 @@ def _fate(candidate: Candidate) -> str:
 # Projections
 
 
-def foreseen(record: Task) -> str:
+def foreseen(record: records.Task) -> str:
     """Return the outcome of a projection and the name of its recording; "" if there is none."""
     outcome = _outcome(record)
     if "succeeded" not in outcome:
@@ -492,7 +471,7 @@ def foreseen(record: Task) -> str:
     return f"{text}; see {recording}" if recording else text
 
 
-def recording_name(record: Task) -> str:
+def recording_name(record: records.Task) -> str:
     """Return the file name of a projection's recording; "" if there is none.
 
     The file must be in the folder of the run's recording. Recorded folders are ignored, because recordings are moved
@@ -502,10 +481,10 @@ def recording_name(record: Task) -> str:
     return PurePath(recording).name if isinstance(recording, str) else ""
 
 
-def _outcome(record: Task) -> dict[str, Any]:
+def _outcome(record: records.Task) -> dict[str, Any]:
     if record.kind != "projection" or not record.result_json:
         return {}
-    outcome = from_json(record.result_json)
+    outcome = records.from_json(record.result_json)
     return outcome if isinstance(outcome, dict) else {}
 
 
@@ -520,7 +499,7 @@ def timeout_text(name: str, clock: object) -> str:
 _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
 
 
-def values(arguments: Sequence[Argument]) -> str:
+def values(arguments: Sequence[records.Argument]) -> str:
     """Return the text of recorded values, in one line. Names replace objects."""
     return ", ".join([f"{argument.name}={by_name(argument.json)}" for argument in arguments[:]]) if arguments else ""
 

@@ -238,8 +238,7 @@ class Prompt(cmd.Cmd):
         self.stack = self.session.plan.ask("where")
         lines = [each.line for each in halt.met if each.line is not None]
         stopped = [number for number, each in enumerate(self.stack) if (each["file"], each["line"]) in lines]
-        decides = deciding([(each["file"], each["line"]) for each in self.stack])
-        self.frame = stopped[0] if stopped else decides
+        self.frame = stopped[0] if stopped else deciding([(each["file"], each["line"]) for each in self.stack])
         self._listed = 0
         record = self.log[step]
         place = "" if record.thread == _MAIN_THREAD else f"  [{record.thread}]"
@@ -481,8 +480,7 @@ class Prompt(cmd.Cmd):
         """``view`` [--connect URL]: show the recording in the Rerun viewer, which follows each step."""
         from replay.view import follow  # noqa: PLC0415  imported here: the viewer's library may be missing
 
-        url = _words(text)[-1] if text else None
-        viewer, self.follow = follow(self.log, self.session.step, url)
+        viewer, self.follow = follow(self.log, self.session.step, _words(text)[-1] if text else None)
         print_message(f"the viewer at {viewer} follows each step")
 
     # --- help and end ------------------------------------------------------------------------------------------------

@@ -252,8 +252,7 @@ class Adapter:
 
     def _on_setBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
         file = _file(arguments)
-        places = [f"{file}:{each['line']}" for each in arguments.get("breakpoints", ())]
-        return self._set(_LINE, places, file)
+        return self._set(_LINE, [f"{file}:{each['line']}" for each in arguments.get("breakpoints", ())], file)
 
     def _on_setFunctionBreakpoints(self, arguments: Message) -> Message:  # noqa: N802
         return self._set(_TASK, [each["name"] for each in arguments["breakpoints"]])
@@ -363,8 +362,7 @@ class Adapter:
 
     def _on_threads(self, _: Message) -> Message:
         step = self._session.step if self._prompt is not None else -1
-        branch = self._session.log[step].thread if step >= 0 else "plan"
-        return {"threads": [{"id": _THREAD, "name": branch}]}
+        return {"threads": [{"id": _THREAD, "name": self._session.log[step].thread if step >= 0 else "plan"}]}
 
     def _on_stackTrace(self, arguments: Message) -> Message:  # noqa: N802
         """Return the plan's frames, innermost first, and then the tasks around the step as labels."""

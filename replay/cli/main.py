@@ -126,8 +126,7 @@ def _command(arguments: list[str]) -> int:
         return FINE
     if summarised:
         options.next_steps = True
-    editor = options.log is None or getattr(options, "dap", False)
-    return _serve_editor(options) if editor else _run(options)
+    return _serve_editor(options) if options.log is None or getattr(options, "dap", False) else _run(options)
 
 
 def _serve_editor(options: argparse.Namespace) -> int:
@@ -242,8 +241,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _paged(options: argparse.Namespace) -> AbstractContextManager[None]:
-    follows = getattr(options, "follow", False)
-    return paged() if options.verb in _READ and not follows else nullcontext()
+    return paged() if options.verb in _READ and not getattr(options, "follow", False) else nullcontext()
 
 
 def _run_on_folder(options: argparse.Namespace) -> int:

@@ -80,8 +80,7 @@ def run(log: Recording, options: argparse.Namespace) -> int:
             else:
                 names = ", ".join(name for name in variables if name not in ("log", "step", "btr"))
                 clock = f"{world.sim_step / STEPS_PER_SECOND:.3f} s simulated"
-                banner = f"{world.name}, {clock}. Variables: {names}, log, step, btr."
-                shell(variables, visible(banner))
+                shell(variables, visible(f"{world.name}, {clock}. Variables: {names}, log, step, btr."))
             return FINE
     except RecordingError as error:
         raise ReplayError(str(error)) from error

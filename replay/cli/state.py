@@ -109,8 +109,7 @@ def _world(state: State, world: World, bodies: list[Body], *, details: bool, lin
 
 def _pose(name: str, width: int, pose: Pose) -> str:
     position = ", ".join(f"{part:8.4f}" for part in pose[0])
-    turn = ", ".join(f"{part:7.4f}" for part in pose[1])
-    return f"{name:{width}}  [{position}]  [{turn}]"
+    return f"{name:{width}}  [{position}]  [{', '.join(f'{part:7.4f}' for part in pose[1])}]"
 
 
 def _body(world: World, body: Body, width: int, *, details: bool) -> Iterator[str]:
@@ -169,6 +168,5 @@ def run_folder_diff(runs: Runs, options: argparse.Namespace) -> int:
         found = compare_folders(runs, second)
         for left_out in second.skipped:
             print_message(f"left out: {second.path}: {left_out.name}: {left_out.reason}")
-        text = lines(found, runs.path, second.path)
-        print_result(lambda: report.data(found), text, as_json=options.json)
+        print_result(lambda: report.data(found), lines(found, runs.path, second.path), as_json=options.json)
         return INCOMPLETE if second.skipped else FAILED if found else FINE

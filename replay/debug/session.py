@@ -124,8 +124,7 @@ class Session:
         if self.step <= 0:
             raise NoFurther(self.step, "the recording begins here")
         enabled = [each for each in self.breakpoints if each.enabled]
-        hits = [step for each in enabled for step in each.steps if step < self.step]
-        goal = max([target, *hits])
+        goal = max([target, *[step for each in enabled for step in each.steps if step < self.step]])
         changes: dict[int, tuple[str, str]] = {}
         watched = [each.watched for each in enabled if each.watched is not None]
         if watched:

@@ -11,20 +11,7 @@ from itertools import takewhile
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from recorder import notebook
-from recorder.records import (
-    STEPS_PER_SECOND,
-    Event,
-    Failure,
-    Plain,
-    Query,
-    Record,
-    Refusal,
-    Task,
-    argument_values,
-    format_failure,
-    from_json,
-)
+from recorder import notebook, records
 from recorder.records.text import is_choice, link_text, pair_text, rejection_lines, rejections, text_of
 from recorder.tasks import Node
 from replay.state.state import Attachment, Sampled
@@ -38,7 +25,7 @@ _MAX_REASONS: Final = 3  # maximum number of reasons in a line
 _PLAIN_KINDS: Final = frozenset({"motion", "process-module", "failure-handling", "attempt"})
 
 
-def value(recorded: Plain) -> str:
+def value(recorded: records.Plain) -> str:
     """Return a recorded value with names of bodies, and numbers with three decimals."""
     if isinstance(recorded, dict):
         if set(recorded) == {"object", "world"}:
@@ -173,13 +160,13 @@ def call_stack_lines(stack: Sequence[Line], printed: list[Sequence[Line]]) -> It
         yield f"{word} {location(replace(stack[shared - 1], text=''))}, as above"
 
 
-def call(name: str, parameters: Mapping[str, Plain]) -> str:
+def call(name: str, parameters: Mapping[str, records.Plain]) -> str:
     """Return the text of a task or query with its parameters."""
     arguments = ", ".join(f"{key}={value(item)}" for key, item in parameters.items() if item is not None)
     return f"{name}({arguments})" if arguments else name
 
 
-def task(kind: str, name: str, parameters: Mapping[str, Plain]) -> str:
+def task(kind: str, name: str, parameters: Mapping[str, records.Plain]) -> str:
     """Return a task with its parameters, and with its kind if the name doesn't imply the kind."""
     if kind == "handler":
         return f"handler {name} of event {parameters.get('event', '')}"
@@ -201,19 +188,19 @@ def error(task_: Node) -> str:
     return one_line(task_.error[1] or task_.error[0]) if task_.error is not None else task_.status.word
 
 
-def failure(failed: Failure) -> str:
+def failure(failed: records.Failure) -> str:
     """Return a failure in one line."""
-    return one_line(format_failure(failed))
+    return one_line(records.format_failure(failed))
 
 
-def refused(refusal: Refusal) -> str:
+def refused(refusal: records.Refusal) -> str:
     """Return the refused call."""
-    return call(refusal.name, argument_values(refusal.arguments))
+    return call(refusal.name, records.argument_values(refusal.arguments))
 
 
-def handler(started: Task) -> str:
+def handler(started: records.Task) -> str:
     """Return the call of a handler, with the step of the event."""
-    event = argument_values(started.parameters).get("event", "")
+    event = records.argument_values(started.parameters).get("event", "")
     step = f" of step {started.cause}" if started.cause else ""  # the cause 0 stands for an event before the recording
     return f"the handler {started.name} of event {event}{step}"
 
@@ -271,28 +258,28 @@ def sampled(moment: Sampled, *, exact: bool = False) -> str:
 # --- records ----------------------------------------------------------------------------------------------------------
 
 
-def record_line(record: Record) -> str:
+def record_line(record: records.Record) -> str:
     """Return the line that describes a record."""
-    if isinstance(record, Task) and record.phase == Task.STARTED:
+    if isinstance(record, records.Task) and record.phase == records.Task.STARTED:
         earlier = ", already running" if record.began_ns else ""
-        return f"{record.kind} {call(record.name, argument_values(record.parameters))}{earlier}"
-    if isinstance(record, Query):
+        return f"{record.kind} {call(record.name, records.argument_values(record.parameters))}{earlier}"
+    if isinstance(record, records.Query):
         text = reasons(record)
         return f"{question(record)}: {answer(record)}" + (f"; {text}" if text else "")
-    if isinstance(record, Event):
-        text = f"event {call(record.name, argument_values(record.arguments))}"
+    if isinstance(record, records.Event):
+        text = f"event {call(record.name, records.argument_values(record.arguments))}"
         return f"{text}, {len(record.handlers)} handlers" if record.handlers else text
-    if isinstance(record, Refusal):
+    if isinstance(record, records.Refusal):
         return f"refused: {refused(record)}: {failure(record.failure)}"
     return "; ".join(text_of(record)[0].splitlines())
 
 
-def question(query: Query) -> str:
+def question(query: records.Query) -> str:
     """Return a query with its arguments as text."""
-    return call(query.name, argument_values(query.arguments))
+    return call(query.name, records.argument_values(query.arguments))
 
 
-def answer(query: Query) -> str:
+def answer(query: records.Query) -> str:
     """Return the answer of a query: yes, no, objects, or the failure. The text names an answer that a fork has set."""
     if query.HasField("failure"):
         return failure(query.failure)
@@ -303,15 +290,15 @@ def answer(query: Query) -> str:
 
 
 def _answer(text: str) -> str:
-    result = from_json(text)
+    result = records.from_json(text)
     if isinstance(result, bool):
         return "yes" if result else "no"
     return names([value(item) for item in result]) if isinstance(result, list) else value(result)
 
 
-def reasons(query: Query) -> str:
+def reasons(query: records.Query) -> str:
     """Return the evidence for an answer as text, with the reasons for rejected candidates."""
-    evidence = argument_values(query.evidence)
+    evidence = records.argument_values(query.evidence)
     found = []
     for key, item in evidence.items():
         if key in _EVIDENCE:
@@ -327,10 +314,10 @@ def reasons(query: Query) -> str:
 
 # --- evidence of queries ----------------------------------------------------------------------------------------------
 
-_Evidence: TypeAlias = "Mapping[str, Plain]"
+_Evidence: TypeAlias = "Mapping[str, records.Plain]"
 
 
-def _share(share: Plain, evidence: _Evidence) -> str:
+def _share(share: records.Plain, evidence: _Evidence) -> str:
     if not isinstance(share, int | float):
         return ""
     visible, unoccluded = evidence.get("pixels_seen"), evidence.get("pixels_alone")
@@ -338,7 +325,7 @@ def _share(share: Plain, evidence: _Evidence) -> str:
     return f"{how_much} of it is visible" + (f" ({visible} of {unoccluded} pixels)" if unoccluded else "")
 
 
-def _hidden(bodies: Plain, evidence: _Evidence) -> str:
+def _hidden(bodies: records.Plain, evidence: _Evidence) -> str:
     shares = bodies.items() if isinstance(bodies, dict) else ()
     found = evidence.get("hiding_links")
     links = found if isinstance(found, dict) else {}
@@ -349,7 +336,7 @@ def _hidden(bodies: Plain, evidence: _Evidence) -> str:
     )
 
 
-def _distance(distance: Plain, evidence: _Evidence) -> str:
+def _distance(distance: records.Plain, evidence: _Evidence) -> str:
     if not isinstance(distance, int | float):
         return ""
     if "joints" not in evidence:
@@ -363,7 +350,7 @@ def _distance(distance: Plain, evidence: _Evidence) -> str:
     return f"the nearest posture found stays {distance:.3f} m away{turned}"
 
 
-def _obstacles(bodies: Plain, _: _Evidence) -> str:
+def _obstacles(bodies: records.Plain, _: _Evidence) -> str:
     if not isinstance(bodies, dict) or not bodies:
         return ""
     pairs = [fact["pair"] if isinstance(fact, dict) and "pair" in fact else None for fact in bodies.values()]
@@ -373,20 +360,20 @@ def _obstacles(bodies: Plain, _: _Evidence) -> str:
     return f"the arm would touch {names(list(bodies))}"  # older recordings lack these links
 
 
-def _links(links: Plain, _: _Evidence) -> str:
+def _links(links: records.Plain, _: _Evidence) -> str:
     if not isinstance(links, list) or not links:
         return ""
     pairs = (item if isinstance(item, list) else [item] for item in links)
     return f"at {names([' and '.join(str(part) or 'base' for part in pair) for pair in pairs])}"
 
 
-def _measure(text: str, factor: float) -> Callable[[Plain, _Evidence], str]:
+def _measure(text: str, factor: float) -> Callable[[records.Plain, _Evidence], str]:
     """Return a phrase for an amount with a unit. ``text`` formats the amount after multiplication by the factor."""
     return lambda amount, _: text.format(amount * factor) if isinstance(amount, int | float) else ""
 
 
 #: Phrases for the parts of a query's evidence. Values without a phrase are printed with their names.
-_EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
+_EVIDENCE: Final[Mapping[str, Callable[[records.Plain, _Evidence], str]]] = {
     "share": _share,
     "hidden_by": _hidden,
     "outside": _measure("{:.0f} % of it is outside of the picture", 100),
@@ -396,7 +383,7 @@ _EVIDENCE: Final[Mapping[str, Callable[[Plain, _Evidence], str]]] = {
     "turned": _measure("turned {:.1f} degrees", math.degrees(1)),
     "links": _links,
     "simulated_steps": lambda steps, _: (
-        f"in {steps / STEPS_PER_SECOND:.2f} s of simulation" if isinstance(steps, int) else ""
+        f"in {steps / records.STEPS_PER_SECOND:.2f} s of simulation" if isinstance(steps, int) else ""
     ),
 }
 #: Parts of the evidence that the phrases of other parts include.

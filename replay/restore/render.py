@@ -292,8 +292,7 @@ def film(
     behind = standing.picture(up)
     for world in worlds:
         moved = draw(world, sorted(world.numbers.keys() - still))
-        image = moved.picture_before(behind, standing.depth, up)
-        yield world.finished(image, size, cut)
+        yield world.finished(moved.picture_before(behind, standing.depth, up), size, cut)
 
 
 def write_pictures(log: RecordReader, why: Why, folder: Path) -> list[Path]:

@@ -114,8 +114,7 @@ def rebuild(log: RecordReader, state: World, suffix: str, mode: str = "DIRECT") 
         for held in state.attachments.values():
             carrier, carried = world.get_object(held.carrier), world.get_object(held.body)
             links = held.carrier_link or None, held.body_link or None
-            pose = held.position, held.orientation
-            attachment.attach(carrier, carried, *links, pose, loose=held.loose)
+            attachment.attach(carrier, carried, *links, (held.position, held.orientation), loose=held.loose)
         for following in state.following.values():
             driving.resume(world.get_object(following.begin.body), following)
         if state.robot:

@@ -369,8 +369,7 @@ class Answer:
 
     def rows(self) -> list[tuple[Any, ...]]:
         """Return the rows as Python values."""
-        columns = [column.to_pylist() for column in self._table.columns]
-        return list(zip(*columns, strict=True))
+        return list(zip(*[column.to_pylist() for column in self._table.columns], strict=True))
 
     def to_arrow(self) -> pa.Table:
         """Return the rows as an Arrow table."""

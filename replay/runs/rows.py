@@ -19,26 +19,7 @@ from typing import Any, Final
 
 import pyarrow as pa
 
-from recorder.records import (
-    STEPS_PER_SECOND,
-    Argument,
-    BodyState,
-    Check,
-    Envelope,
-    Event,
-    Failure,
-    Fluent,
-    Keyframe,
-    Mutation,
-    Query,
-    Record,
-    Refusal,
-    Run,
-    Task,
-    argument_values,
-    from_json,
-    to_json,
-)
+from recorder import records
 from recorder.records.text import chosen_name, mutation_text, pair_text
 from replay.errors import Damaged
 from replay.file.record_reader import RecordReader
@@ -49,8 +30,12 @@ FOLDER: Final = "tables"  # name of the subfolder with the tables in a folder of
 NEW: Final = "new"  # name of the subfolder with new rows in the folder of tables
 _PACKED: Final = pa.ipc.IpcWriteOptions(compression="lz4", use_threads=False)  # other runs need the cores
 _NO_TEXTS: Final = pa.array([], pa.string())  # pyarrow imports pandas, which must be imported before a fork
-_NO_EVENT: Final = Event()  # default for the fields that records of fluents lack
-_STATUSES: Final = {Task.SUCCEEDED: "succeeded", Task.FAILED: "failed", Task.CANCELLED: "cancelled"}
+_NO_EVENT: Final = records.Event()  # default for the fields that records of fluents lack
+_STATUSES: Final = {
+    records.Task.SUCCEEDED: "succeeded",
+    records.Task.FAILED: "failed",
+    records.Task.CANCELLED: "cancelled",
+}
 _OBJECT: Final = re.compile(r'\{"object":"((?:[^"\\]|\\.)*)","world":"(?:[^"\\]|\\.)*"\}')
 _OPTION: Final = re.compile(r"--([A-Za-z][\w-]*)(?:=(.*))?", re.DOTALL)
 _NUMBER: Final = re.compile(r"(?<![\w.])[-+]?\d+(?:\.\d+)?(?:e[-+]?\d+)?(?![\w])")
@@ -137,50 +122,50 @@ class _Rows:
         self._of: dict[str, list[dict[str, Any]]] = {table.name: [] for table in TABLES}
         #: Columns of the tables of which a record may add many rows.
         self._many: dict[str, list[list[Any]]] = {name: [[] for _ in COLUMNS[name]] for name in ("joints", "poses")}
-        self.first: Record | None = None
-        self.last: Record | None = None
-        self.start: Run | None = None
-        self.end: Run | None = None
+        self.first: records.Record | None = None
+        self.last: records.Record | None = None
+        self.start: records.Run | None = None
+        self.end: records.Run | None = None
         self._paths: dict[int, str] = defaultdict(str)
         self._tasks: dict[int, dict[str, Any]] = {}  # rows of tasks, by id
         self._violated: set[str] = set()
         self._failing: set[int] = set()  # ids of tasks in which a part failed
 
-    def add(self, record: Record) -> None:
+    def add(self, record: records.Record) -> None:
         if self.first is None:
             self.first = record
         self.last = record
-        if isinstance(record, Task):
+        if isinstance(record, records.Task):
             self._task(record)
-        elif isinstance(record, Mutation):
+        elif isinstance(record, records.Mutation):
             self._mutation(record)
-        elif isinstance(record, Query):
+        elif isinstance(record, records.Query):
             self._query(record)
-        elif isinstance(record, Event | Fluent):
-            event = record if isinstance(record, Event) else _NO_EVENT
+        elif isinstance(record, records.Event | records.Fluent):
+            event = record if isinstance(record, records.Event) else _NO_EVENT
             self._append(
                 "events",
                 record,
-                kind="fluent" if isinstance(record, Fluent) else "event",
+                kind="fluent" if isinstance(record, records.Fluent) else "event",
                 name=record.name,
                 label=label(record.name, event.arguments),
                 sender=event.sender,
                 arguments=json_of(event.arguments),
-                value=record.after_json if isinstance(record, Fluent) else "",
+                value=record.after_json if isinstance(record, records.Fluent) else "",
                 handlers=len(event.handlers),
             )
-        elif isinstance(record, Keyframe):
+        elif isinstance(record, records.Keyframe):
             for state in record.bodies:
                 self._state(record.seq, record.world, record.sim_step, state)
-        elif isinstance(record, Refusal):
+        elif isinstance(record, records.Refusal):
             self._failure(record, "refusal", record.failure)
-        elif isinstance(record, Run | Check):
-            self._run(record) if isinstance(record, Run) else self._check(record)
+        elif isinstance(record, records.Run | records.Check):
+            self._run(record) if isinstance(record, records.Run) else self._check(record)
 
     def columns(self, table: str) -> Sequence[Sequence[Any]]:
         return self._many.get(table) or [[row[name] for row in self._of[table]] for name in COLUMNS[table]]
 
-    def _append(self, table: str, record: Record, **values: Any) -> dict[str, Any]:
+    def _append(self, table: str, record: records.Record, **values: Any) -> dict[str, Any]:
         """Add a row about a record. ``values`` are further columns; they replace columns that most tables have."""
         row = {
             "step": record.seq,
@@ -188,14 +173,14 @@ class _Rows:
             "path": self._paths[record.task],
             "world": record.world,
             "seconds": self._seconds(record),
-            "sim_seconds": record.sim_step / STEPS_PER_SECOND,
+            "sim_seconds": record.sim_step / records.STEPS_PER_SECOND,
             "source": source(record),
             **values,
         }
         self._of[table].append(row)
         return row
 
-    def _seconds(self, record: Record) -> float:
+    def _seconds(self, record: records.Record) -> float:
         first = self.first
         if first is None or record.monotonic_ns:
             return record.monotonic_ns / 1e9
@@ -203,27 +188,27 @@ class _Rows:
 
     # --- records -----------------------------------------------------------------------------------------------------
 
-    def _run(self, record: Run) -> None:
-        if record.phase == Run.STARTED:
+    def _run(self, record: records.Run) -> None:
+        if record.phase == records.Run.STARTED:
             self.start = record
-        elif record.phase == Run.FINISHED:
+        elif record.phase == records.Run.FINISHED:
             self.end = record
         if record.HasField("failure"):
-            self._failure(record, "thread" if record.phase == Run.THREAD_FAILED else "run", record.failure)
+            self._failure(record, "thread" if record.phase == records.Run.THREAD_FAILED else "run", record.failure)
 
-    def _task(self, record: Task) -> None:
-        if record.phase in (Task.STARTED, Task.ASKED):
+    def _task(self, record: records.Task) -> None:
+        if record.phase in (records.Task.STARTED, records.Task.ASKED):
             self._begin(record)
             return
         if record.task not in self._tasks:  # the recording doesn't contain the beginning of the task
             self._begin(record)
-        if record.phase == Task.LEFT:
+        if record.phase == records.Task.LEFT:
             return
         row = self._tasks[record.task]
         row["status"] = _STATUSES.get(record.status, "")
         row["last_step"] = record.seq
         row["seconds"] = record.duration_ns / 1e9
-        row["sim_took"] = record.sim_step / STEPS_PER_SECOND - row["sim_seconds"]
+        row["sim_took"] = record.sim_step / records.STEPS_PER_SECOND - row["sim_seconds"]
         row["result"] = record.result_json
         if record.solution:
             row["solution"] = json_of(record.solution)
@@ -231,17 +216,17 @@ class _Rows:
             row["resolver"], row["module"] = record.decision.resolver, record.decision.module
         if record.HasField("failure"):
             row["failure"], row["message"] = record.failure.type, record.failure.message
-        if record.status == Task.FAILED:
+        if record.status == records.Task.FAILED:
             row["origin"] = record.task not in self._failing
             self._failing.add(row["parent"])
             if row["origin"]:
                 self._failure(record, "task", record.failure)
 
-    def _begin(self, record: Task) -> None:
+    def _begin(self, record: records.Task) -> None:
         """Add the row of a task. When a requested task starts, only the time in its row changes."""
         known = self._tasks.get(record.task)
         if known is not None:
-            known |= {"began": self._seconds(record), "sim_seconds": record.sim_step / STEPS_PER_SECOND}
+            known |= {"began": self._seconds(record), "sim_seconds": record.sim_step / records.STEPS_PER_SECOND}
             return
         outer = self._paths[record.parent]
         path = f"{outer}/{record.name}" if outer else record.name
@@ -269,7 +254,7 @@ class _Rows:
             message="",
         )
 
-    def _query(self, record: Query) -> None:
+    def _query(self, record: records.Query) -> None:
         called = label(record.name, record.arguments)
         chosen = record.chosen if record.HasField("chosen") else -1
         self._append(
@@ -300,7 +285,7 @@ class _Rows:
         if record.HasField("failure"):
             self._failure(record, "query", record.failure)
 
-    def _mutation(self, record: Mutation) -> None:
+    def _mutation(self, record: records.Mutation) -> None:
         command = record.WhichOneof("command") or ""
         self._append(
             "mutations",
@@ -316,8 +301,8 @@ class _Rows:
         for state in record.effect.bodies:
             self._state(record.seq, record.world, record.sim_step, state)
 
-    def _check(self, record: Check) -> None:
-        violated = record.phase == Check.VIOLATED
+    def _check(self, record: records.Check) -> None:
+        violated = record.phase == records.Check.VIOLATED
         self._violated |= {record.property} if violated else set()
         self._append(
             "checks",
@@ -327,11 +312,11 @@ class _Rows:
             at_step=record.step if violated else None,
             margin=record.margin if record.HasField("margin") else None,
             details=json_of(record.values),
-            sim_seconds=record.moment / STEPS_PER_SECOND,
+            sim_seconds=record.moment / records.STEPS_PER_SECOND,
         )
 
-    def _state(self, step: int, world: str, sim_step: int, state: BodyState) -> None:
-        same = (step, world, sim_step / STEPS_PER_SECOND, state.body)
+    def _state(self, step: int, world: str, sim_step: int, state: records.BodyState) -> None:
+        same = (step, world, sim_step / records.STEPS_PER_SECOND, state.body)
         if state.position:
             for column, value in zip(self._many["poses"], (*same, *state.position, *state.orientation), strict=True):
                 column.append(value)
@@ -342,7 +327,9 @@ class _Rows:
             for column, more in zip(self._many["joints"], (*repeated, names, *values), strict=True):
                 column.extend(more)
 
-    def _failure(self, record: Task | Query | Refusal | Run, of: str, failure: Failure) -> None:
+    def _failure(
+        self, record: records.Task | records.Query | records.Refusal | records.Run, of: str, failure: records.Failure
+    ) -> None:
         self._append(
             "failures",
             record,
@@ -357,9 +344,9 @@ class _Rows:
 
     # --- the run -----------------------------------------------------------------------------------------------------
 
-    def finish(self, log: RecordReader, first: Record, last: Record) -> None:
+    def finish(self, log: RecordReader, first: records.Record, last: records.Record) -> None:
         """Add the row of the run, after all records."""
-        start, end = self.start or Run(), self.end
+        start, end = self.start or records.Run(), self.end
         succeeded = end is not None and end.succeeded
         interrupted = end is not None and end.failure.type == INTERRUPT
         outcome = "succeeded" if succeeded else "cut off" if end is None else "interrupted" if interrupted else "failed"
@@ -396,7 +383,7 @@ class _Rows:
             host=start.host,
         )
 
-    def _root(self, broken: RootCause | None) -> tuple[Failure | None, str, int | None]:
+    def _root(self, broken: RootCause | None) -> tuple[records.Failure | None, str, int | None]:
         """Mark the failure that explains the end of the run. Return the failure, the path of its task, and its step."""
         if broken is None:
             return None, "", None
@@ -409,7 +396,7 @@ class _Rows:
         return failure, path, broken.step
 
 
-def parameters(start: Run) -> list[tuple[str, str]]:
+def parameters(start: records.Run) -> list[tuple[str, str]]:
     """Return the parameters of a run; if the run has no parameters, the options among its arguments."""
     given = {each.name: each.value_json for each in start.parameters}
     return list((given or _options(start.arguments)).items())
@@ -424,18 +411,18 @@ def _options(arguments: Sequence[str]) -> Mapping[str, str]:
             continue
         following = arguments[at + 1] if at + 1 < len(arguments) else "--"
         value = option[2] if option[2] is not None else None if following.startswith("--") else following
-        found[option[1]] = "true" if value is None else to_json(from_json(value))
+        found[option[1]] = "true" if value is None else records.to_json(records.from_json(value))
     return found
 
 
-def json_of(arguments: Sequence[Argument]) -> str:
+def json_of(arguments: Sequence[records.Argument]) -> str:
     """Return named values as a JSON object; "" if there are none."""
     if not arguments:
         return ""
     return "{" + ",".join([f"{json.dumps(each.name)}:{each.json or 'null'}" for each in arguments]) + "}"
 
 
-def label(name: str, arguments: Sequence[Argument]) -> str:
+def label(name: str, arguments: Sequence[records.Argument]) -> str:
     """Return a name with the objects among the arguments; without objects, with the type of object."""
     found: dict[str, None] = {}
     for argument in arguments:
@@ -447,9 +434,9 @@ def label(name: str, arguments: Sequence[Argument]) -> str:
     return f"{name}({', '.join(list(found)[:_MAX_NAMED])})" if found else name
 
 
-def source(record: Record) -> str:
+def source(record: records.Record) -> str:
     """Return the plan's line that caused a record, as ``file:line``; "" if unknown."""
-    if isinstance(record, Run | Keyframe | Envelope) or not record.source_file:
+    if isinstance(record, records.Run | records.Keyframe | records.Envelope) or not record.source_file:
         return ""
     return f"{record.source_file}:{record.source_line}"
 
@@ -459,13 +446,13 @@ def without_numbers(text: str) -> str:
     return _LIST.sub("#", _NUMBER.sub("#", text.strip().partition("\n")[0]))
 
 
-def pairs_of(failure: Failure) -> list[str]:
+def pairs_of(failure: records.Failure) -> list[str]:
     """Return the text of colliding pairs of links."""
-    recorded = argument_values(failure.data).get("pairs") if failure.data else None
+    recorded = records.argument_values(failure.data).get("pairs") if failure.data else None
     return [pair_text(pair) for pair in recorded if isinstance(pair, dict)] if isinstance(recorded, list) else []
 
 
-def cause_of(failure: Failure, path: str) -> str:
+def cause_of(failure: records.Failure, path: str) -> str:
     """Return the cause of a failure. ``path`` contains the names of the tasks around the failure."""
     pairs = pairs_of(failure)
     what = pairs[0] if pairs else without_numbers(failure.message)

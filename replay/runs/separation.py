@@ -193,8 +193,7 @@ class _Sites:
             key = kind, f"{suffix} of {name}" if suffix else name
             if key not in self.sites and len(self.sites) >= _MAX_SITES:
                 return
-            site = self.sites.setdefault(key, Site(*key))
-            site.values[number].append(Value(simple, step))
+            self.sites.setdefault(key, Site(*key)).values[number].append(Value(simple, step))
 
     def before(self, run: str, step: int) -> int | None:
         """Return the number of a run; None if a step is after the run's failure, or if the run isn't compared."""
@@ -388,15 +387,13 @@ class Fact:
     def tarantula(self) -> float:
         """The score of Tarantula, from 0 to 1."""
         failed = self.failed / self.failures if self.failures else 0.0
-        succeeded = self.succeeded / self.successes if self.successes else 0.0
-        return failed / (failed + succeeded) if failed else 0.0
+        return failed / (failed + (self.succeeded / self.successes if self.successes else 0.0)) if failed else 0.0
 
     @property
     def effect(self) -> float:
         """The failure rate of runs with the fact, minus the failure rate of other runs."""
         others = len(self.known) - len(self.true)
-        false = (self.failures - self.failed) / others if others else 0.0
-        return self.failed / len(self.true) - false
+        return self.failed / len(self.true) - ((self.failures - self.failed) / others if others else 0.0)
 
     @property
     def interval(self) -> tuple[float, float]:
@@ -593,8 +590,7 @@ class Chance:
         groups = [
             (each[0][0], np.unique(np.concatenate([true for _, true in each]), axis=0)) for each in alike.values()
         ]
-        work = sum(true.size for _, true in groups)
-        rounds = int(min(_ROUNDS, max(_LEAST, _WORK / max(work, 1))))
+        rounds = int(min(_ROUNDS, max(_LEAST, _WORK / max(sum(true.size for _, true in groups), 1))))
         dice = np.random.default_rng(0)  # a fixed seed, so that the result is reproducible
         dealt = dice.permuted(np.tile(failed, (rounds, 1)), axis=1).T
         strongest: NDArray[Any] = np.zeros(rounds)

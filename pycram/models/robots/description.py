@@ -194,8 +194,7 @@ class Arm:
 
     def links(self) -> list[str]:
         """Return the names of all links in the description of the arm."""
-        hand = [self.hand.palm, *self.hand.fingers] if self.hand else []
-        return [self.base_link, self.tool_frame, *hand]
+        return [self.base_link, self.tool_frame, *([self.hand.palm, *self.hand.fingers] if self.hand else [])]
 
     def bias(self, urdf: Urdf) -> float:
         """Return how unevenly the sides of the gripper close, as :meth:`Gripper.bias` defines it."""

@@ -157,8 +157,7 @@ def close_around(
         there = {**robot.get_joint_positions(), **posture}
         engine.pose_joints(hand, there)
         if gripper.suction:
-            at_cup = engine.link_closest_points(hand, gripper.palm, target, _AT_CUP)
-            return Closing({}, 2) if at_cup else None
+            return Closing({}, 2) if engine.link_closest_points(hand, gripper.palm, target, _AT_CUP) else None
         # closed fingers may be inside of a hollow object, so the search begins with open fingers
         tried = (step / _CLOSING_STEPS for step in reversed(range(_CLOSING_STEPS)))
         stuck = next((share for share in tried if touches(share)), None)

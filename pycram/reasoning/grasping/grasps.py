@@ -230,16 +230,14 @@ def _between_fingers(
     number = np.arange(max(counts))
     points = np.array([[scan.first] for scan in scans]) + number * np.array([[scan.step] for scan in scans])
     solid = ~np.isnan(lows) & (number < np.array(counts)[:, None])
-    fronts = np.where(solid, points, np.inf).min(axis=1)
-    depths = np.minimum(np.minimum(fronts + gripper.depth, 0.0), floors)
+    depths = np.minimum(np.minimum(np.where(solid, points, np.inf).min(axis=1) + gripper.depth, 0.0), floors)
     held = solid & (points <= depths[:, None] + gripper.tips)
     lows = np.where(held, lows, np.inf).min(axis=1)
     highs = np.where(held, highs, -np.inf).max(axis=1)
     widths = highs - lows
     least, most = gripper.gap, gripper.aperture - FREE
     solids = held.any(axis=1)
-    fits = solids & (widths <= most) & (widths >= least)
-    columns = (fits, solids, depths, lows, highs)
+    columns = (solids & (widths <= most) & (widths >= least), solids, depths, lows, highs)
     found = zip(options, scans, *(column.tolist() for column in columns), strict=True)
     for (name, turn), scan, fit, solid_there, deep, low, high in found:
         if fit:

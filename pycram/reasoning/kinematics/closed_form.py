@@ -169,8 +169,7 @@ class ClosedForm:
         rotations, wrists, q1 = self._wrists(positions, turns, samples)
         rows = q1.shape[1]
         arm, strain = self._to_point(q1.ravel(), self.wrist[:, None], np.repeat(wrists.T, rows, axis=1))
-        target = np.tile(np.repeat(np.arange(len(positions)), rows), 4)
-        wrist, short = self._to_turn(arm, rotations, target)
+        wrist, short = self._to_turn(arm, rotations, np.tile(np.repeat(np.arange(len(positions)), rows), 4))
         return 8, np.concatenate([np.tile(arm, (2, 1)), wrist], axis=1), np.tile(strain + short, 2)
 
     def _wrists(self, positions: Array, turns: Array, samples: Array) -> tuple[Array, Array, Array]:
@@ -210,8 +209,7 @@ class ClosedForm:
 
     def _to_point(self, q1: Array, point: Array, goals: Array) -> tuple[Array, Array]:
         """Return positions (4n, 4) of joints 1 to 4 that move a point of the forearm to goals, and their strains."""
-        elbow = _hinge(self.origins[3], self.axes[3], point, self.shoulder)
-        away, q4, strain = self._bent(q1, elbow, goals)
+        away, q4, strain = self._bent(q1, _hinge(self.origins[3], self.axes[3], point, self.shoulder), goals)
         q2, q3, short = self._pointed(q4, twice(point), twice(away))
         return np.stack([np.tile(q1, 4), q2, q3, np.tile(q4, 2)], axis=1), np.tile(strain, 2) + short
 

@@ -213,8 +213,7 @@ class SurfaceSearch(Search):
             step = int(random.integers(_YAWS))
             if self._stays and step % 2:  # an arm puts an object down most easily in its present orientation
                 step = 0
-            yaw = start + 2 * math.pi * step / _YAWS
-            turn = self._orientation or geometry.from_rpy(0.0, 0.0, yaw)
+            turn = self._orientation or geometry.from_rpy(0.0, 0.0, start + 2 * math.pi * step / _YAWS)
             pose = (x, y, height - float(self._turned_corners(turn)[:, 2].min())), turn
             spots.append(Spot(f"[{x:.3f}, {y:.3f}]", pose, geometry.yaw_of(turn), float(scores[cell])))
         return searched, batch.draw(grid, scores, spots)
@@ -285,8 +284,7 @@ class SurfaceSearch(Search):
         Robots that drive don't count, because these robots can make room.
         """
         clone = clone_of(self._body.world, "reach")
-        carried = held(self._robot) if self._robot else ()
-        left_out = {*self._own, *carried}
+        left_out = {*self._own, *(held(self._robot) if self._robot else ())}
         if not searched.furniture.fixed:  # the outline of a free object's surface excludes its rim or walls
             left_out.add(searched.furniture)
         others = [each for each in self._body.world.objects if each not in left_out]
@@ -309,8 +307,7 @@ class SurfaceSearch(Search):
         if reference is None:
             return np.where(along > 0.0, 1.0, 0.0)
         across = np.abs(offsets @ (-y, x))
-        near = maps.near(centers, middle, _NEAR, _FAR)
-        beside: Array = np.where(along > across, near, 0.0)
+        beside: Array = np.where(along > across, maps.near(centers, middle, _NEAR, _FAR), 0.0)
         return beside
 
     def _reach(self, grid: Grid, robot: Object) -> Array:

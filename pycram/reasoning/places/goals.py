@@ -133,8 +133,7 @@ def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Po
             found = [postures[0].reaches() for postures in solver.search(targets, quick=True)]
         owners = np.repeat(np.arange(len(stages)), [len(stage) for _, stage in stages])
         passed = np.bincount(owners, weights=found, minlength=len(stages)) > 0
-        missed = np.bincount([number for number, _ in stages], weights=~passed, minlength=len(bases))
-        within |= missed == 0
+        within |= np.bincount([number for number, _ in stages], weights=~passed, minlength=len(bases)) == 0
     promises: list[bool] = within.tolist()
     return promises
 

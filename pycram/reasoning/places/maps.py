@@ -141,8 +141,7 @@ def radii(outline: Array) -> tuple[float, float]:
     """Return the radii in m of the widest circle about the origin in the hull of points (n, 2), and around the hull."""
     angles = np.arange(_DIRECTIONS) * (2 * math.pi / _DIRECTIONS)
     reach = outline @ np.array([np.cos(angles), np.sin(angles)])
-    inner = float(reach.max(axis=0, initial=0.0).min())
-    return max(inner, 0.0), float(np.hypot(*outline.T).max(initial=0.0))
+    return max(float(reach.max(axis=0, initial=0.0).min()), 0.0), float(np.hypot(*outline.T).max(initial=0.0))
 
 
 def straight(centers: Array, target: Sequence[float], obstacles: Footprints) -> Array:
@@ -260,8 +259,7 @@ class ArmReach:
         self._low = float(points[:, 2].min(initial=0.0))
         shape = (int((points[:, 2].max(initial=0.0) - self._low) / _CELL) + 1, int(self.radius / _CELL) + 1, _SECTORS)
         counts = np.zeros(shape)
-        bearing = np.arctan2(flat[:, 1], flat[:, 0])
-        np.add.at(counts, self._cells(points[:, 2], distance, bearing, shape), 1.0)
+        np.add.at(counts, self._cells(points[:, 2], distance, np.arctan2(flat[:, 1], flat[:, 0]), shape), 1.0)
         for axis, wrap in ((0, False), (1, False), (2, True)):  # a cell has few postures, so its neighbours count, too
             before, after = (np.roll(counts, step, axis=axis) for step in (1, -1))
             if not wrap:
@@ -279,8 +277,7 @@ class ArmReach:
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         z = ((height - self._low) / _CELL).astype(np.intp).clip(0, shape[0] - 1)
         rho = (distance / _CELL).astype(np.intp).clip(0, shape[1] - 1)
-        sector = np.round(bearing / (2 * math.pi / _SECTORS)).astype(np.intp) % _SECTORS
-        return z, rho, sector
+        return z, rho, np.round(bearing / (2 * math.pi / _SECTORS)).astype(np.intp) % _SECTORS
 
     def scores(self, height: float, distance: Array, bearing: Array) -> Array:
         """Return scores of how well the hand reaches points at a height above the arm's base link, m.

@@ -148,8 +148,7 @@ class StandingSearch(Search):
         self._batches = 1 if quickly else len(_SPOTS)  # number of batches without a place after which the search ends
 
     def _next(self, batch: Batch, number: int) -> FoundPlace | None:
-        robot = self._robot
-        position, turn = robot.get_position_and_orientation()
+        position, turn = self._robot.get_position_and_orientation()
         here: Pose = (position[0], position[1], position[2]), (turn[0], turn[1], turn[2], turn[3])
         grid, factors, yaws = self._maps()
         scores, _ = self._product(factors)

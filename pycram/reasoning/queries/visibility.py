@@ -193,8 +193,7 @@ def _window(body: Object, camera: Camera, frame: Window) -> tuple[Window | None,
     low, high = body.get_AABB()
     if all(a <= x <= b for a, x, b in zip(low, camera.pose[0], high, strict=True)):
         return None, "is around the camera"
-    corners = np.array(list(itertools.product(*zip(low, high, strict=True))))
-    points = camera.to_frame(corners)
+    points = camera.to_frame(np.array(list(itertools.product(*zip(low, high, strict=True)))))
     depth = points[:, 2]
     if (depth < camera.near).all():
         return None, "is behind the camera or too near"
@@ -251,6 +250,5 @@ def _eye(robot: Object, point: Sequence[float], base: PoseLike) -> Camera:
     camera, now = description.camera, robot.get_joint_positions()
     joints = description.head.joints if description.head else ()
     turned, _ = pan_tilt.aim_camera(robot.urdf, joints, camera, geometry.transform(geometry.invert(base), point), now)
-    link = robot.urdf.forward_kinematics({**now, **turned}, camera.frame)
-    pose = camera.pose(geometry.multiply(base, link))
+    pose = camera.pose(geometry.multiply(base, robot.urdf.forward_kinematics({**now, **turned}, camera.frame)))
     return Camera(pose, math.tan(camera.horizontal_fov / 2), math.tan(camera.vertical_fov / 2), camera.near, camera.far)
