@@ -230,8 +230,7 @@ def options_parser() -> Parser:
         "name", nargs="?", default="set_the_table", choices=names, help="the demo (default: set_the_table)"
     )
     robots = sorted(file.stem for file in (Path(__file__).parent / "models" / "robots").glob("*.toml"))
-    where = " and ".join(_WITH_ROBOTS)
-    demo.add_argument("--robot", choices=robots, help=f"the robot, in {where} (default: pr2)")
+    demo.add_argument("--robot", choices=robots, help=f"the robot, in {' and '.join(_WITH_ROBOTS)} (default: pr2)")
     plan = add_command("run", "run a plan", "Runs a plan: any Python file. Arguments after -- go to the plan.")
     plan.add_argument("plan", metavar="PLAN.py", help="the plan")
     for recorded in (demo, plan):

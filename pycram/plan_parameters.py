@@ -86,8 +86,7 @@ def fitting(name: str, value: Any, default: Any) -> Any:
         return str(value)
     if isinstance(default, tuple) and isinstance(value, list):
         return tuple(value)
-    kind = type(default).__name__
-    raise BadArgument(name, value, f"a value of type {kind}, because the default is {default!r}")
+    raise BadArgument(name, value, f"a value of type {type(default).__name__}, because the default is {default!r}")
 
 
 def declared_in(plan: Path) -> dict[str, Any] | None:

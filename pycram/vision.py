@@ -256,8 +256,7 @@ def rasterize(
             better &= (across[:3, None, :] + down[:3, :, None]).min(axis=0) >= 0
             nearness[area][better] = close[better]
             seen[area][better] = numbers[large[number]]
-    small = shown[pixels[shown] <= _LARGE]
-    for part, columns, rows in _covered(small, left, right, top, bottom):
+    for part, columns, rows in _covered(shown[pixels[shown] <= _LARGE], left, right, top, bottom):
         for corner in range(3):  # the test at the first corner excludes most pixels
             kept = _value(planes[:, corner], part, columns, rows) >= 0
             part, columns, rows = part[kept], columns[kept], rows[kept]  # noqa: PLW2901
@@ -359,8 +358,7 @@ def _covered(
     """Yield batches of pixels in the bounds of triangles: indices of triangles, columns, rows."""
     wide = right - left
     counts = wide[shown] * (bottom - top)[shown]
-    cuts = np.flatnonzero(np.diff(np.cumsum(counts) // _BATCH, prepend=0))
-    for group in np.split(np.arange(len(shown)), cuts):
+    for group in np.split(np.arange(len(shown)), np.flatnonzero(np.diff(np.cumsum(counts) // _BATCH, prepend=0))):
         part = np.repeat(shown[group], counts[group])
         offset = np.arange(len(part)) - np.repeat(np.cumsum(counts[group]) - counts[group], counts[group])
         yield part, left[part] + offset % wide[part], top[part] + offset // wide[part]

@@ -241,16 +241,14 @@ def margin_in_polygon(polygon: Polygon, point: Sequence[float]) -> float:
     if len(polygon) < 3:
         return -math.inf
     x, y = point
-    sides = itertools.pairwise([*polygon, polygon[0]])
-    return min(_side(a, b, (x, y)) / max(math.dist(a, b), 1e-9) for a, b in sides)
+    return min(_side(a, b, (x, y)) / max(math.dist(a, b), 1e-9) for a, b in itertools.pairwise([*polygon, polygon[0]]))
 
 
 def narrowest_width(polygon: Polygon) -> tuple[float, float]:
     """Return the smallest width of a convex polygon in m, and the direction in rad of the side across that width."""
-    sides = itertools.pairwise([*polygon, polygon[0]])
     return min(
         (max(_side(a, b, corner) for corner in polygon) / math.dist(a, b), math.atan2(b[1] - a[1], b[0] - a[0]))
-        for a, b in sides
+        for a, b in itertools.pairwise([*polygon, polygon[0]])
     )
 
 

@@ -215,8 +215,7 @@ class McapWriter:
                 offsets += _packed(SummaryOffset(group_opcode=opcode, group_start=at, group_length=len(group)))
                 summary += group
         offsets_start = summary_start + len(summary)
-        start = _FOOTER_START.pack(Opcode.FOOTER, 20, summary_start, offsets_start)
-        crc = zlib.crc32(summary + offsets + start)
+        crc = zlib.crc32(summary + offsets + _FOOTER_START.pack(Opcode.FOOTER, 20, summary_start, offsets_start))
         footer = _packed(Footer(summary_start=summary_start, summary_offset_start=offsets_start, summary_crc=crc))
         self._write(summary + offsets + footer + MAGIC)
         self._file.flush()

@@ -158,9 +158,8 @@ def _parse(text: str | bytes, chains: bool) -> Urdf:
     if len(ordered) < len(links):
         cycle = [link for link in links if link not in set(ordered)]
         raise UrdfError(name, f"its joints form a cycle: {', '.join(cycle)} aren't below {ordered[0]}")
-    by_name = {joint.name: joint for joint in joints}
     movable = tuple(joint.name for joint in joints if joint.movable)
-    return Urdf(name, ordered[0], tuple(ordered), MappingProxyType(by_name), movable)
+    return Urdf(name, ordered[0], tuple(ordered), MappingProxyType({joint.name: joint for joint in joints}), movable)
 
 
 def _unique(robot: str, kind: str, names: Iterable[str]) -> list[str]:

@@ -245,7 +245,6 @@ class FoxgloveTranslator:
         """Return a layout: the scene above the tasks and properties, the log above the heights of moved objects."""
         world = next((name for name, _ in self._changes.most_common(1)), "")
         movable = {name: at for name, (body, at) in self._placed(world).items() if not body.fixed_base}
-        centre = np.mean([*movable.values()] or [(0.0, 0.0, 0.0)], axis=0).round(3).tolist()
         topics = [*(f"/scene/{frame_name(world, name)}" for name in self._bodies.get(world, {})), _FAILURES]
         scene = {
             "followTf": ROOT,
@@ -257,7 +256,7 @@ class FoxgloveTranslator:
                 "phi": 60,
                 "thetaOffset": 135,
                 "perspective": True,
-                "targetOffset": centre,
+                "targetOffset": np.mean([*movable.values()] or [(0.0, 0.0, 0.0)], axis=0).round(3).tolist(),
             },
         }
         states = [(f"{topic}.value", topic) for topic in self._channels if topic.startswith("/task/")]

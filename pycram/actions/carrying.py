@@ -204,8 +204,7 @@ def _surfaces_beside(body: Object) -> list[Surface]:
         for surface in furniture.surfaces.values():
             pose = furniture.surface_pose(surface)
             corners = (geometry.transform(pose, (x, y, 0.0)) for x, y in surface.outline)
-            has_room = any(math.dist(corner[:2], position[:2]) > _BESIDE for corner in corners)
-            if has_room and not surface.container:
+            if any(math.dist(corner[:2], position[:2]) > _BESIDE for corner in corners) and not surface.container:
                 found.append((math.dist(pose[0], position), surface))
     return [surface for _, surface in sorted(found, key=lambda each: each[0])[:_NEAREST]]
 

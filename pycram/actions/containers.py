@@ -183,8 +183,7 @@ def _handle_choices(
 def _choice(
     access: Access, arm: str, value: float, place: Sequence[float], orientation: Sequence[float]
 ) -> Mapping[str, Any]:
-    distance = abs(value - access.closed)
-    return {"arm": arm, "distance": distance, "place": list(place), "orientation": list(orientation)}
+    return {"arm": arm, "distance": abs(value - access.closed), "place": list(place), "orientation": list(orientation)}
 
 
 def _free_arms(robot: Object, access: Access, wanted: str | None) -> list[str]:

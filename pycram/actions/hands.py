@@ -95,8 +95,7 @@ def _choices(object: Any, arm: str | None = None) -> Iterator[Mapping[str, Any]]
     for place in (None, *turned):
         goes_to = None if place is None else LocationDesignator(position=place[0], orientation=place[1])
         for taker in takers:
-            poses = _free_poses(robot, giver, taker, place, blocked)
-            for pose in itertools.islice(poses, _EACH if turned else None):
+            for pose in itertools.islice(_free_poses(robot, giver, taker, place, blocked), _EACH if turned else None):
                 position, turn = geometry.multiply(place or here, pose)
                 found = True
                 yield {"arm": taker.name, "target": list(position), "orientation": list(turn), "place": goes_to}
@@ -157,11 +156,8 @@ def _free_poses(robot: Object, giver: Arm, taker: Arm, place: Pose | None, block
     Other poses add their obstacles to ``blocked``. A place of None is the robot's present place.
     """
     base = geometry.invert(robot.get_position_and_orientation())
-    shoulders = []
-    for arm in (giver, taker):
-        link = robot.urdf.joint(arm.joints[0]).child
-        shoulders.append(geometry.transform(base, robot.get_link_position(link)))
-    (x, y, z), (u, v, w) = shoulders
+    shoulders = [robot.get_link_position(robot.urdf.joint(arm.joints[0]).child) for arm in (giver, taker)]
+    (x, y, z), (u, v, w) = (geometry.transform(base, shoulder) for shoulder in shoulders)
     middle, inward = ((x + u) / 2, (y + v) / 2, (z + w) / 2), 1 if y < v else -1
     for down, ahead, degrees in itertools.product(_DOWN, _AHEAD, _TURNS):
         turn = geometry.from_rpy(0.0, 0.0, math.radians(inward * degrees))
@@ -237,8 +233,7 @@ def check_target(body: Object, target: Any) -> None:
 
 def _closed_at(target: Any) -> list[str]:
     if not isinstance(target, LocationDesignator) or not target.for_objects:
-        place = target.reference()["position"] if isinstance(target, LocationDesignator) else target
-        container = enclosing(place)
+        container = enclosing(target.reference()["position"] if isinstance(target, LocationDesignator) else target)
         return [] if container is None else [container.name]
     owners = {(body, surface.container) for body, surface in target.surfaces()}
     if any(not name for _, name in owners):

@@ -220,8 +220,7 @@ class _Search:
         for _ in range(_PLACES):
             try:
                 for place in itertools.islice(places, 1):
-                    facing = _facing(place, point)
-                    perform(MotionDesignator(type="moving", target=place.position, orientation=facing))
+                    perform(MotionDesignator(type="moving", target=place.position, orientation=_facing(place, point)))
                     return True
             except PlanFailure as failure:
                 self.looked.append((point.where, failure))

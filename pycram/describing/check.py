@@ -257,8 +257,7 @@ def _stillness(robot: Object) -> Finding:
 
 def chain_of(robot: Object, arm: Arm) -> Chain:
     """Return the kinematics of an arm for the robot's present joint positions."""
-    now = robot.get_joint_positions()
-    return Chain(robot.urdf, arm.base_link, arm.tool_frame, arm.joints, now, arm.tool_offset)
+    return Chain(robot.urdf, arm.base_link, arm.tool_frame, arm.joints, robot.get_joint_positions(), arm.tool_offset)
 
 
 def always_touching(robot: Object, arm: Arm) -> set[tuple[str, str]]:
@@ -282,8 +281,7 @@ def parked(robot: Object, arm: Arm) -> list[float]:
     size = np.hypot(points[:, :, 0], points[:, :, 1]).max(axis=0)
     low = np.maximum(_FLOOR - points[:, :, 2].min(axis=0), 0.0)
     middle = np.abs((postures - chain.lower) / (chain.upper - chain.lower) - 0.5).max(axis=1)
-    order = np.argsort(size + 10 * low + _STRAIN * 2 * middle, kind="stable")[:_CHECKED]
-    rows = postures[order].round(3).tolist()
+    rows = postures[np.argsort(size + 10 * low + _STRAIN * 2 * middle, kind="stable")[:_CHECKED]].round(3).tolist()
     with CollisionChecker(robot, arm.joints) as checker:
         named = [dict(zip(arm.joints, row, strict=True)) for row in rows]
         for row, candidate in zip(rows, checker.predict(named), strict=True):

@@ -219,8 +219,7 @@ def is_furniture(model: Model) -> bool:
     """Return whether a model is furniture: it has surfaces, but no arms, legs or wheels."""
     found, tree = guess(model), model.urdf
     in_a_row = max(sum(joint.movable for joint in tree.chain(tree.root, link)) for link in tree.links)
-    has_arms = bool(found.arms) or in_a_row > _IN_A_ROW
-    return not has_arms and not found.drives and bool(furniture_of(model).surfaces)
+    return not (bool(found.arms) or in_a_row > _IN_A_ROW) and not found.drives and bool(furniture_of(model).surfaces)
 
 
 def describe_furniture(model: Model, urdf: str | Path) -> str:

@@ -146,8 +146,7 @@ def _check_shape(source: Path, where: str, geometry: ET.Element | None) -> None:
     if shape.tag not in _SHAPES:
         raise AssetError(source, f"{where}: <{shape.tag}> isn't a shape; shapes are {', '.join(_SHAPES)}")
     for attribute, count in _SHAPES[shape.tag]:
-        values = _numbers(source, f"{where}, {shape.tag}", shape, attribute, count)
-        if min(values) <= 0:
+        if min(_numbers(source, f"{where}, {shape.tag}", shape, attribute, count)) <= 0:
             reason = f"{attribute} of the {shape.tag} is {shape.get(attribute)!r}, not above 0"
             raise AssetError(source, f"{where}: {reason}")
     if shape.get("scale") is not None and 0.0 in _numbers(source, f"{where}, mesh", shape, "scale", 3):

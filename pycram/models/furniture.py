@@ -64,8 +64,7 @@ def find_furniture(path: Path, urdf: Urdf) -> Furniture:
     poses = urdf.link_poses({name: closed_position(urdf.joints[name]) for name in urdf.movable})
     every = pieces(path, poses)
     floor = min((float(piece.low[2]) for piece in every), default=0.0)
-    offered = [face for face in faces(every) if _is_usable(face, floor, every)]
-    return _Search(urdf, poses, every, offered).furniture()
+    return _Search(urdf, poses, every, [face for face in faces(every) if _is_usable(face, floor, every)]).furniture()
 
 
 @lru_cache(maxsize=_CACHED_MODELS)

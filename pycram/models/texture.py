@@ -134,8 +134,7 @@ def _cylinder(size: Sequence[float]) -> tuple[Array, Array]:
     ends = [np.column_stack([ring * radius, np.full(len(ring), z)]) for z in (-length / 2, length / 2)]
     triangles, uv = _strip(ends, np.array([0.0, 1.0]), around)
     for number, end in enumerate(ends):
-        middle = np.array([0.0, 0.0, end[0, 2]])
-        disc = np.stack([np.broadcast_to(middle, end[:-1].shape), end[:-1], end[1:]], axis=1)
+        disc = np.stack([np.broadcast_to(np.array([0.0, 0.0, end[0, 2]]), end[:-1].shape), end[:-1], end[1:]], axis=1)
         triangles.append(disc if number else disc[:, ::-1])
         uv.append(triangles[-1][:, :, :2] / (2 * radius) + 0.5)
     return np.concatenate(triangles), np.concatenate(uv)

@@ -238,8 +238,7 @@ class Designator(ABC):
         Raises:
             DesignatorError: This designator can't be the value of a slot.
         """
-        kind = type(self).__name__
-        raise DesignatorError(f"a {kind} can't be the value of slot {slot}", slot=slot, value=self)
+        raise DesignatorError(f"a {type(self).__name__} can't be the value of slot {slot}", slot=slot, value=self)
 
     def equate(self, other: Self) -> None:
         """Equate this designator with another designator: append it to the chain of ``other``."""

@@ -294,8 +294,7 @@ class ContinuousExecution(Execution):
         robot: Object, arm: Arm, ignored_links: Sequence[tuple[Object, str]] = ()
     ) -> list[Mapping[str, float]] | None:
         now = _now(robot, arm.joints)
-        ways = (geometry.rotate(_tool_pose(robot, arm, now)[1], _BACK), _UP)
-        return _line(robot, arm, now, ways, (), ignored_links)
+        return _line(robot, arm, now, (geometry.rotate(_tool_pose(robot, arm, now)[1], _BACK), _UP), (), ignored_links)
 
     def lift(self, robot: Object, arm: Arm) -> Step | None:
         """Lift the object straight up until it would touch something; return None if it can't move at all."""
@@ -431,8 +430,7 @@ def _following(robot: Object, plan: Callable[[], planning.PlannedMotion]) -> Ste
 def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
     """Return whether other moving parts of a robot would touch the parts that a new trajectory will move."""
     with robot.world.lock:
-        active = robot.world.trajectories.active.values()
-        others = [each for each in active if each.body is robot and each.joints]
+        others = [each for each in robot.world.trajectories.active.values() if each.body is robot and each.joints]
         if not others or not trajectory.joints:
             return False
         postures = []
@@ -441,8 +439,7 @@ def _is_crossed(robot: Object, trajectory: Trajectory) -> bool:
             time = number / _SAMPLES
             posture = dict(zip(trajectory.joints, trajectory.at(time)[0], strict=True))
             for each in others:
-                positions = each.trajectory.at(each.time + time)[0]
-                posture |= dict(zip(each.trajectory.joints, positions, strict=True))
+                posture |= dict(zip(each.trajectory.joints, each.trajectory.at(each.time + time)[0], strict=True))
             postures.append(posture)
         with CollisionChecker(robot, postures[0], single_links=True) as checker:
             touching = [checker.self_collisions(candidate) for candidate in checker.predict(postures)]

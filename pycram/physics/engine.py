@@ -228,8 +228,7 @@ class Engine:
 
     def joint(self, body: LoadedBody, name: str) -> float:
         """Return the position of a movable joint in rad or m."""
-        index = body.joints[name].index
-        position: float = bullet.getJointState(body.id, index, physicsClientId=self._client)[0]
+        position: float = bullet.getJointState(body.id, body.joints[name].index, physicsClientId=self._client)[0]
         return position
 
     def set_joints(

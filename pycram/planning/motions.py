@@ -128,9 +128,8 @@ def _planned(robot: Object, moved: _Moved, found: Path, checks: int) -> PlannedM
     knots = found.knots
     if len(moved.joints) > len(moved.searched):
         rates = joint_rates(robot, moved.joints)
-        positions = moved.with_followers(knots.positions)
         velocities = np.hstack([knots.velocities, knots.velocities @ moved.slopes])
-        knots = timing.slowed(timing.Knots(knots.times, positions, velocities), rates)
+        knots = timing.slowed(timing.Knots(knots.times, moved.with_followers(knots.positions), velocities), rates)
     return PlannedMotion(trajectory_of(moved.joints, knots), search_record(found, checks, way_points))
 
 

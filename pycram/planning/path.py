@@ -92,8 +92,7 @@ def find_path(
     candidates = [np.vstack([query.start, way, query.goal]) for path in earlier for way in (path, path[::-1])]
     gaps = {id(way): query.space.distance(way[[0, -1]], way[[1, -2]]).sum() for way in candidates}
     direct = query.space.distance(query.start, query.goal)
-    near = [way for way in candidates if gaps[id(way)] < direct]
-    ways = sorted(near, key=lambda way: gaps[id(way)])[:_MAX_EARLIER]
+    ways = sorted([way for way in candidates if gaps[id(way)] < direct], key=lambda way: gaps[id(way)])[:_MAX_EARLIER]
     for clearance.strict, space, budget in rooms:
         touch = clearance.first_touch(query.space.along(line, fine))
         if touch is None and choice.admits(STRAIGHT):
@@ -171,8 +170,7 @@ def _looked_at(query: Query, knots: Knots, fine: float) -> Array:
     """Return configurations (n, d) of a timed path, about a step apart."""
     rows = timing.at(knots, np.arange(0.0, knots.times[-1], 1 / _RATE))
     moved = np.cumsum(np.abs(np.diff(rows, axis=0) * query.space.weights).max(axis=1, initial=0.0))
-    wanted = np.diff(np.floor(moved / fine), prepend=0.0) > 0
-    picked: Array = rows[1:][wanted]
+    picked: Array = rows[1:][np.diff(np.floor(moved / fine), prepend=0.0) > 0]
     return picked
 
 

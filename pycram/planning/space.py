@@ -59,8 +59,7 @@ def between(a: Array, b: Array, step: float | Array) -> Array:
 def nearest_turns(start: Array, goal: Array, lower: Array, upper: Array) -> Array:
     """Return the goal (d,) with the equivalent angles that are within the limits and nearest to the start."""
     turned: Array = start + (goal - start + np.pi) % (2 * np.pi) - np.pi
-    other = (np.abs(goal - start) > np.pi) & (lower <= turned) & (turned <= upper)
-    return np.where(other, turned, goal)
+    return np.where((np.abs(goal - start) > np.pi) & (lower <= turned) & (turned <= upper), turned, goal)
 
 
 @cache

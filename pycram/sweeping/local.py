@@ -78,8 +78,7 @@ class SweepSpec:
 
     def name(self, number: int) -> str:
         """Return the name of a run's recording, which contains the shortened parameters."""
-        values = self.run(number).parameters
-        shown = {name: LEFT_OUT if is_secret(name) else value for name, value in values.items()}
+        shown = {name: LEFT_OUT if is_secret(name) else value for name, value in self.run(number).parameters.items()}
         texts = {name: f"{value:.4g}" if isinstance(value, float) else str(value) for name, value in shown.items()}
         words = ",".join(f"{name}={_UNSAFE.sub('_', text)}" for name, text in texts.items())
         return f"{number:05}{'.' if words else ''}{words[:_MAX_LETTERS]}.mcap"
@@ -150,8 +149,7 @@ def run_once(
     refused: list[str] = []
 
     def late() -> str:
-        over = time.monotonic() - began >= spec.limit
-        return f"the run was still running after {spec.limit:g} s" if over else ""
+        return f"the run was still running after {spec.limit:g} s" if time.monotonic() - began >= spec.limit else ""
 
     def sink_of(start: Run) -> Sink:
         if sinks:  # if the plan itself starts a recording, all runs would write it to the same file

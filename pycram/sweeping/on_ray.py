@@ -56,8 +56,7 @@ def sweep_on_ray(
         store.put(Path(here) / SWEEP)
         progress(result, None)
         # the first run is a batch of its own, because it shows whether the plan can start
-        starts = range(1, len(missing), _BATCH)
-        batches = iter([missing[:1], *(missing[start : start + _BATCH] for start in starts)])
+        batches = iter([missing[:1], *(missing[start : start + _BATCH] for start in range(1, len(missing), _BATCH))])
         try:
             for outcome in _made(spec, url, [next(batches)], models, 1):
                 if not result.take(outcome):

@@ -71,8 +71,7 @@ def coupled(body: Object, given: dict[str, float]) -> dict[str, float]:
                 f"{position:g}, because {name} mimics {leader}, which moves to {leaders[leader]:g}; set only {leader}"
             )
             raise BadArgument(name, wanted, cause)
-    moved = leaders | followers | given
-    return {name: position for name, position in moved.items() if urdf.joints[name].movable}
+    return {name: position for name, position in (leaders | followers | given).items() if urdf.joints[name].movable}
 
 
 def with_followers(body: Object, trajectory: Trajectory) -> Trajectory:

@@ -460,8 +460,7 @@ class Object(ReadOnlyAttributes):
     def set_color(self, color: Sequence[float]) -> None:
         """Set the colour of all links, RGBA 0..1."""
         rgba = checks.color("color", color)
-        command = records.SetColor(body=self.name, color=rgba)
-        with self.world.transactions.begin(records.Mutation(set_color=command)):
+        with self.world.transactions.begin(records.Mutation(set_color=records.SetColor(body=self.name, color=rgba))):
             self.world.engine.set_color(self.handle, rgba)
             update(self, color=rgba)
             vars(self).pop("load_record", None)

@@ -245,8 +245,7 @@ class WorldClock:
 
 @uninterruptible()
 def _simulate_until_needed(world: BulletWorld, scope: CancelScope | None, is_over: Callable[[], bool]) -> None:
-    command = records.Simulate(steps=_MAX_WAIT_STEPS)
-    with world.transactions.begin(records.Mutation(simulate=command)) as transaction:
+    with world.transactions.begin(records.Mutation(simulate=records.Simulate(steps=_MAX_WAIT_STEPS))) as transaction:
         simulate(world, _MAX_WAIT_STEPS, transaction, lambda: is_over() or _is_needed(world, scope))
 
 
@@ -310,8 +309,7 @@ def separate(world: BulletWorld) -> None:
 
 def _overlap(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Return an array: whether boxes (..., 2, 3) overlap."""
-    along = (a[..., 0, :] <= b[..., 1, :]) & (b[..., 0, :] <= a[..., 1, :])
-    return np.asarray(np.logical_and.reduce(along, axis=-1))
+    return np.asarray(np.logical_and.reduce((a[..., 0, :] <= b[..., 1, :]) & (b[..., 0, :] <= a[..., 1, :]), axis=-1))
 
 
 def at_rest(speeds: Sequence[float]) -> bool:

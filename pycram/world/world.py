@@ -258,8 +258,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
         """Set the robot that plans control in this world; None for no robot."""
         if robot is not None and (not isinstance(robot, Object) or not robot.is_robot or robot.world is not self):
             raise BadArgument("robot", robot, f'an object of type "robot" in {self.name}')
-        command = records.SetRobot(body=robot.name if robot else "")
-        with self.transactions.begin(records.Mutation(set_robot=command)):
+        with self.transactions.begin(records.Mutation(set_robot=records.SetRobot(body=robot.name if robot else ""))):
             self._robot = robot
 
     def get_objects_by_name(self, name: str) -> list[Object]:
@@ -318,8 +317,7 @@ class BulletWorld(ReadOnlyAttributes, metaclass=CurrentWorld):
 
     def remove(self, body: Object) -> None:
         """Remove an object; raise WorldClosed if it was removed before."""
-        command = records.Mutation(remove_body=records.RemoveBody(body=body.name))
-        with self.transactions.begin(command) as transaction:
+        with self.transactions.begin(records.Mutation(remove_body=records.RemoveBody(body=body.name))) as transaction:
             handle = body.handle
             self.trajectories.end_all(body)
             for attachment in list(body.attachments.values()):

@@ -61,8 +61,7 @@ def look(beliefs: Beliefs, evidence: Mapping[str, object], sim_step: int, step: 
             known = beliefs.get(key)
             if known is None or known.source != Belief.HELD:  # a look doesn't change beliefs about held objects
                 position, orientation = _pose(name, pose)
-                belief = Belief(position=position, orientation=orientation, source=source)
-                _learn(beliefs, key, belief, sim_step, step)
+                _learn(beliefs, key, Belief(position=position, orientation=orientation, source=source), sim_step, step)
                 learned.append(key)
     return learned
 

@@ -189,8 +189,7 @@ def time_of(following: Following, sim_step: int) -> float:
     if not following.stopped or sim_step <= following.stopped:
         return (sim_step - following.began) / STEPS_PER_SECOND
     slowing = min(sim_step - following.stopped, STOPPING_STEPS)
-    driven = following.stopped - following.began + slowing - slowing * slowing / (2 * STOPPING_STEPS)
-    return driven / STEPS_PER_SECOND
+    return (following.stopped - following.began + slowing - slowing * slowing / (2 * STOPPING_STEPS)) / STEPS_PER_SECOND
 
 
 def has_ended(following: Following, sim_step: int) -> bool:

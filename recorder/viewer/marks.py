@@ -266,8 +266,7 @@ Values: TypeAlias = "dict[str, Any]"
 def target_position(scene: ViewerScene, world: str, values: Values) -> Vector | None:
     """Return the first position among values, or else the position of the first object; None if there is neither."""
     bodies = scene.bodies.get(world, {}).items()
-    objects = {name: body.pose[0] for name, body in bodies if not body.loaded.robot_description}
-    return first_position(values, objects)
+    return first_position(values, {name: body.pose[0] for name, body in bodies if not body.loaded.robot_description})
 
 
 PATHS: Final = "paths"

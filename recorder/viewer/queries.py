@@ -119,8 +119,7 @@ class QueryPicture:
             classes = [
                 rr.AnnotationInfo(id=id_, label=name, color=self._colors[name]) for name, id_ in self._classes.items()
             ]
-            context = rr.AnnotationContext([(0, "nothing near", (0, 0, 0)), *classes])
-            self._columns.send_static(self._path, context)
+            self._columns.send_static(self._path, rr.AnnotationContext([(0, "nothing near", (0, 0, 0)), *classes]))
         return number
 
 
@@ -148,12 +147,11 @@ class QueryPlaces(Marks):
         spots = spots_of(record.grid) + np.array([0.0, 0.0, _ABOVE])
         if len(spots):
             names = list(fates(record))
-            labels = [fate.partition("|")[0] for fate in names] if len(names) <= _MAX_LABELS else None
             points = rr.Points3D(
                 spots,
                 colors=[_COLORS.get(name, RED) for name in names],
                 radii=[_TAKEN if name == TAKEN else _POINT for name in names],
-                labels=labels,
+                labels=[fate.partition("|")[0] for fate in names] if len(names) <= _MAX_LABELS else None,
                 show_labels=False,
             )
             self.add(record.world, (PLACES, record.name, "samples"), now, points)

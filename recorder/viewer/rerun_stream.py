@@ -117,10 +117,10 @@ class Columns:
     def send(self, path: str, time: TimePoint, *archetypes: rr.AsComponents) -> None:
         """Send a row immediately. From then on, the entity has these components."""
         self._flush(path)  # rows of an entity must stay in order
-        batches = [batch for archetype in archetypes for batch in archetype.as_component_batches()]
         columns = [
             rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
-            for batch in batches
+            for archetype in archetypes
+            for batch in archetype.as_component_batches()
         ]
         self._send(path, [time], columns)
 

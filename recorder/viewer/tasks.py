@@ -57,8 +57,7 @@ class TaskTimeline:
             self._started[record.task] = record, now
             self._label(lane, record, now, State.RUNNING)
         else:
-            started = self._started.pop(record.task)
-            self._label(lane, *started, State(record.status), timed_out=is_timed_out(record))
+            self._label(lane, *self._started.pop(record.task), State(record.status), timed_out=is_timed_out(record))
             lane.states.add(now, ("",))
 
     def show_parting(self, other: str, first: TimePoint, now: TimePoint) -> None:

@@ -267,10 +267,9 @@ def side_by_side(layouts: Mapping[str, Layout], until: int | None = None) -> rrb
 def _whole(views: rrb.Container, until: int | None) -> rrb.Blueprint:
     # no option sets the viewer's first step, but the viewer follows the end of a time line, so this line ends there
     timeline = STEP if until is None else up_to(until)
-    state = None if until is None else PlayState.Following
     return rrb.Blueprint(
         views,
-        rrb.TimePanel(timeline=timeline, play_state=state, state="collapsed"),
+        rrb.TimePanel(timeline=timeline, play_state=None if until is None else PlayState.Following, state="collapsed"),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
     )

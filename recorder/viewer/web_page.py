@@ -235,8 +235,7 @@ def read_viewer_files() -> dict[str, bytes]:
             port = _port(process)
             opener = build_opener(ProxyHandler({}))
             for name in NAMES:
-                url = f"http://{HOST}:{port}/{'' if name == INDEX else name}"
-                with opener.open(url, timeout=_TIMEOUT) as reply:
+                with opener.open(f"http://{HOST}:{port}/{'' if name == INDEX else name}", timeout=_TIMEOUT) as reply:
                     files[name] = reply.read()
         except (OSError, HTTPException) as error:
             raise ViewerGone(f"the viewer's page can't be read ({error})") from error

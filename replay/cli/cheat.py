@@ -108,6 +108,5 @@ def print_sheet() -> None:
     """Print the cheat sheet."""
     width = max(len(command) for lines in SHEET.values() for command, _ in _parsed(lines))
     for heading, lines in SHEET.items():
-        shown = [f"  {command:{width}}  {result}" for command, result in _parsed(lines)]
-        print_text("\n".join([heading, *shown, ""]))
+        print_text("\n".join([heading, *[f"  {command:{width}}  {result}" for command, result in _parsed(lines)], ""]))
     print_text(_STEPS.strip())

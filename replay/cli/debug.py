@@ -313,8 +313,7 @@ class Prompt(cmd.Cmd):
         """``ll``: the source of the current function, or of the file."""
         frame = self._selected()
         lines = linecache.getlines(frame["file"])
-        whole = frame["function"] == "<module>"
-        count = len(lines) if whole else len(inspect.getblock(lines[frame["first"] - 1 :]))
+        count = len(lines) if frame["function"] == "<module>" else len(inspect.getblock(lines[frame["first"] - 1 :]))
         self._list(frame["first"], frame["first"] + count - 1)
 
     def _list(self, first: int, last: int) -> None:
@@ -340,8 +339,7 @@ class Prompt(cmd.Cmd):
 
     def _print_variables(self, *, arguments: bool) -> None:
         self._selected()
-        found = self.session.plan.ask("variables", frame=self.frame, arguments=arguments)
-        for each in found:
+        for each in self.session.plan.ask("variables", frame=self.frame, arguments=arguments):
             print(visible(f"{each['name']} = {each['value']}"))
 
     def do_p(self, expression: str) -> None:
@@ -473,8 +471,7 @@ class Prompt(cmd.Cmd):
             given.insert(0, "--recorded-source")
         before, after = _VERBS[name]
         step = str(self.session.step)
-        arguments = [step if each == "STEP" else each for each in chain(before, given, after)]
-        main.call(name, self.log, arguments)
+        main.call(name, self.log, [step if each == "STEP" else each for each in chain(before, given, after)])
 
     def do_view(self, text: str) -> None:
         """``view`` [--connect URL]: show the recording in the Rerun viewer, which follows each step."""
@@ -527,8 +524,7 @@ class Prompt(cmd.Cmd):
         """Complete the name of a quantity."""
         from replay.debug.session import quantity_names  # noqa: PLC0415  as above
 
-        found = _beginning(text, quantity_names(self.log, self.session.step))
-        return found or self.completedefault(text, *rest)
+        return _beginning(text, quantity_names(self.log, self.session.step)) or self.completedefault(text, *rest)
 
     def complete_state(self, text: str, *_: Any) -> list[str]:
         """Complete the name of an object."""

@@ -303,8 +303,7 @@ class Adapter:
         self._then = partial(self._move, partial(self._session.go, arguments["targetId"]), "goto")
 
     def _on_gotoTargets(self, arguments: Message) -> Message:  # noqa: N802
-        place = f"{_file(arguments)}:{arguments['line']}"
-        found = breakpoint_at(self._session.log, self._session.timeline, 0, place)
+        found = breakpoint_at(self._session.log, self._session.timeline, 0, f"{_file(arguments)}:{arguments['line']}")
         line = found.line[1] if found.line is not None else arguments["line"]
         return {"targets": [{"id": step, "label": f"step {step}", "line": line} for step in found.steps]}
 
@@ -413,10 +412,9 @@ class Adapter:
     def _locals(self, frame: int, **within: str) -> list[_Variable]:
         """Return the variables of a frame, or the parts of a variable (``expression``)."""
         question, given = ("parts", within) if within else ("variables", {"arguments": False})
-        found = self._session.plan.ask(question, frame=frame, **given)
         return [
             _Variable(**each, parts=partial(self._locals, frame, expression=each["expression"]) if parts else None)
-            for each in found
+            for each in self._session.plan.ask(question, frame=frame, **given)
             for parts in [each.pop("parts")]
         ]
 

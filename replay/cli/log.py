@@ -50,8 +50,7 @@ def run(log: Recording, options: argparse.Namespace) -> None:
     wanted = RecordFilter(options.kind or (), options.task, options.object, options.world, options.text, where)
     start, stop = log.step(options.start), log.step(options.end) + 1
     found = False
-    matches = follow(log, wanted, start) if options.follow else wanted.matches(log, start, stop)
-    for record, line in matches:
+    for record, line in follow(log, wanted, start) if options.follow else wanted.matches(log, start, stop):
         found = True
         if options.json:
             print_json(record_data(record) | {"text": line}, flush=options.follow)

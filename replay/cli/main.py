@@ -188,11 +188,10 @@ def _parser(arguments: Sequence[str], *, completing: bool = False) -> Parser:
     parser.add_argument("--version", action="store_true", help="print the version and exit")
     verbs = parser.add_subparsers(dest="verb", required=True, metavar="VERB")
     for name, text in VERBS.items():
-        description = f"{text[0].upper()}{text[1:]}."
         verb = verbs.add_parser(
             name,
             help=text,
-            description=description,
+            description=f"{text[0].upper()}{text[1:]}.",
             examples=lambda name=name: importlib.import_module("replay.cli.cheat").examples(name),
             completers=completers,
         )

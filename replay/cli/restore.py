@@ -90,8 +90,7 @@ def _data(step: int, world: BulletWorld, *, exact: bool) -> dict[str, object]:
     objects = {}
     for body in world.objects:
         position, orientation = body.get_position_and_orientation()
-        joints = body.get_joint_positions()
-        objects[body.name] = {"position": position, "orientation": orientation, "joints": joints}
+        objects[body.name] = {"position": position, "orientation": orientation, "joints": body.get_joint_positions()}
     return {"step": step, "world": world.name, "exact": exact, "objects": objects}
 
 

@@ -69,8 +69,7 @@ def run(log: Recording, options: argparse.Namespace) -> None:
         elif len(logs) == 1:
             file = cached(logs[0], step, eyes[0])
         else:
-            names = "_".join(log.path.stem for log in logs)
-            file = temporary_file(f"{names}.rrd")
+            file = temporary_file(f"{'_'.join(log.path.stem for log in logs)}.rrd")
             convert(logs, file, step, eyes)
         shown: dict[str, object] = {"file": str(file)}
         if options.open or options.save is None:

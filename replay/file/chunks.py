@@ -166,8 +166,7 @@ class Chunks:
         """Yield the mutations, keyframes and looks of a chunk, with the lifetimes of their channels."""
         entries = self._load(number)
         for at, channel in enumerate(entries.channels):
-            kind = self._kinds[channel]
-            if kind in (Mutation, Keyframe, Query):
+            if self._kinds[channel] in (Mutation, Keyframe, Query):
                 record = self._decode(number, entries, at)
                 if record is not None and (not isinstance(record, Query) or is_look(record)):
                     yield record, self._owners[channel]

@@ -407,8 +407,7 @@ class FileScan:
         at = start
         while at < size:
             self._file.seek(at)
-            block = self._file.read(_BLOCK + 64)
-            for mark in _MARK.finditer(block):
+            for mark in _MARK.finditer(self._file.read(_BLOCK + 64)):
                 offset = at + mark.start() - CHUNK_HEAD.size + 4 - HEADER
                 if offset < start:
                     continue

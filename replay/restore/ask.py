@@ -99,8 +99,7 @@ def ask(
     if call.query == BELIEVED:
         return _believed(state_at(log, step), step, world, call, moves)
     state = state_at(log, step)
-    name = state.world(world).name if world is not None else None
-    with temporary_world(log, step, name, moment) as restored:
+    with temporary_world(log, step, state.world(world).name if world is not None else None, moment) as restored:
         try:
             for move in moves:
                 try:

@@ -181,8 +181,7 @@ class DrawnWorld:
             _pinhole((viewpoint, geometry.look_at(viewpoint, aim)), _FIELD_OF_VIEW, size)
             for viewpoint in viewpoints(aim, distance, heading, eye)
         ]
-        rated = [*scenes[: -1 : max(1, len(scenes) // _RATED)], (self.parts, subject)]
-        return free_view(cameras, rated, cuts=cuts)
+        return free_view(cameras, [*scenes[: -1 : max(1, len(scenes) // _RATED)], (self.parts, subject)], cuts=cuts)
 
     def subjects(self, why: Why) -> list[str] | None:
         """Return the robot and the objects of a failed task as targets of a picture; None if there are none.
@@ -204,8 +203,7 @@ class DrawnWorld:
 
     def draw(self, view: CutawayView, size: tuple[int, int], numbers: Iterable[int] | None = None) -> Rendering:
         """Draw parts by number, by default all parts, with more pixels than the picture has."""
-        finer = (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING)
-        return view.draw(self.parts, view.camera.window, finer, numbers)
+        return view.draw(self.parts, view.camera.window, (size[0] * _OVERSAMPLING, size[1] * _OVERSAMPLING), numbers)
 
     def finished(self, image: NDArray[np.uint8], size: tuple[int, int], cut: Iterable[str]) -> Image.Image:
         """Return a picture of the given size, made from an image with more pixels."""
@@ -326,9 +324,8 @@ def failure_view(log: RecordReader, step: int | None = None) -> tuple[Vector, Ve
         return None
     scene = DrawnWorld(log, explained.step, explained.world.name if explained.world is not None else None)
     about = scene.subjects(explained)
-    view = scene.view([scene], None, about, _SIZE, cuts=False)
     low, high = bounds(scene.parts, scene.subject(about)[0])
-    return view.camera.pose[0], _vector((low + high) / 2)
+    return scene.view([scene], None, about, _SIZE, cuts=False).camera.pose[0], _vector((low + high) / 2)
 
 
 def _check_size(size: tuple[int, int]) -> None:

@@ -410,8 +410,7 @@ class Runs:
                     listed = ", ".join(_quoted(escape(file)) for file in files[name])
                     database.execute(f"CREATE VIEW {name} AS SELECT * FROM read_parquet([{listed}])")  # noqa: S608
                 else:
-                    empty = pa.schema([_RUN_FIELD, *arrow_schema(table)]).empty_table()
-                    database.register(f"{name}_rows", empty)
+                    database.register(f"{name}_rows", pa.schema([_RUN_FIELD, *arrow_schema(table)]).empty_table())
                     database.execute(f"CREATE TABLE {name} AS SELECT * FROM {name}_rows")  # noqa: S608
             allowed = ", ".join(_quoted(name) for file in self._files for name in {file, escape(file)})
             database.execute(f"SET allowed_paths=[{allowed}]")

@@ -223,10 +223,9 @@ class _Writer:
         path.parent.mkdir(parents=True)
         parquet.write_table(pa.Table.from_pylist(episodes), path)
         tasks = pa.table({"task_index": pa.array([0]), "task": pa.array([self.task])})
-        kinds = {"task_index": ("int64", "int64"), "task": ("unicode", "object")}
         columns = [
             {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": numpy, "metadata": None}
-            for name, (kind, numpy) in kinds.items()
+            for name, (kind, numpy) in {"task_index": ("int64", "int64"), "task": ("unicode", "object")}.items()
         ]
         index = {"index_columns": ["task"], "column_indexes": [], "columns": columns, "pandas_version": "2.2.0"}
         tasks = tasks.replace_schema_metadata({"pandas": json.dumps(index)})
@@ -345,8 +344,7 @@ class _Videos:
             "from_timestamp": begin / FPS,
             "to_timestamp": self._frames / FPS,
         }
-        columns = {f"videos/{_VIDEO}/{name}": value for name, value in facts.items()}
-        return columns | {
+        return {f"videos/{_VIDEO}/{name}": value for name, value in facts.items()} | {
             f"stats/{_VIDEO}/{name}": value for name, value in _picture_statistics(counts, self._frames - begin).items()
         }
 

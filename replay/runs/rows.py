@@ -321,8 +321,7 @@ class _Rows:
             for column, value in zip(self._many["poses"], (*same, *state.position, *state.orientation), strict=True):
                 column.append(value)
         if state.joints:
-            velocities = state.joint_velocities or [0.0] * len(state.joints)
-            names, *values = state.joints, state.joint_positions, velocities
+            names, *values = state.joints, state.joint_positions, state.joint_velocities or [0.0] * len(state.joints)
             repeated = ([each] * len(names) for each in same)
             for column, more in zip(self._many["joints"], (*repeated, names, *values), strict=True):
                 column.extend(more)
@@ -398,8 +397,7 @@ class _Rows:
 
 def parameters(start: records.Run) -> list[tuple[str, str]]:
     """Return the parameters of a run; if the run has no parameters, the options among its arguments."""
-    given = {each.name: each.value_json for each in start.parameters}
-    return list((given or _options(start.arguments)).items())
+    return list(({each.name: each.value_json for each in start.parameters} or _options(start.arguments)).items())
 
 
 def _options(arguments: Sequence[str]) -> Mapping[str, str]:

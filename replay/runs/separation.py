@@ -253,8 +253,7 @@ class _Sites:
                     slots |= given if isinstance(given, dict) else {}
                 for slot, value in slots.items():
                     self.add("motion", f"{slot} at {label}", number, value, step)
-            ended = last is not None and last < self.cases[number].end
-            if ended and kind not in _STRUCTURE:
+            if last is not None and last < self.cases[number].end and kind not in _STRUCTURE:
                 self.mark(number, f"the end of {label}", last, task)
                 if status == "failed" and origin:
                     self.add("reached", f"the failure of {label}", number, True, last)
@@ -324,8 +323,7 @@ class _Sites:
                 if a is not None and b is not None and not _apart(a[1], b[1]):
                     continue
                 is_first = b is None or (a is not None and a[0] < b[0])
-                step = max(each[0] for each in (a, b) if each is not None)
-                site.values[number] = [Value(is_first, step)]
+                site.values[number] = [Value(is_first, max(each[0] for each in (a, b) if each is not None))]
                 known += self.cases[number].failed
             both = ((marks[first], marks[second]) for marks in self.marks if first in marks and second in marks)
             if known >= 0.95 * failures and any(_apart(a[1], b[1]) for a, b in both):
@@ -398,8 +396,7 @@ class Fact:
     @property
     def interval(self) -> tuple[float, float]:
         """The 95 % interval of the effect."""
-        others = len(self.known) - len(self.true)
-        return difference(self.failed, len(self.true), self.failures - self.failed, others)
+        return difference(self.failed, len(self.true), self.failures - self.failed, len(self.known) - len(self.true))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -596,8 +593,7 @@ class Chance:
         strongest: NDArray[Any] = np.zeros(rounds)
         for known, true in groups:
             for start in range(0, len(true), _ROWS):
-                found = evidence(true[start : start + _ROWS], dealt[known])
-                np.maximum(strongest, found.max(axis=0), out=strongest)
+                np.maximum(strongest, evidence(true[start : start + _ROWS], dealt[known]).max(axis=0), out=strongest)
         self._strongest = np.sort(strongest)
 
     def of(self, strength: float) -> float:

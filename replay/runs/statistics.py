@@ -153,10 +153,9 @@ def causes(failed: Sequence[tuple[str, str, int | None, str]]) -> tuple[FailureC
     found: dict[str, list[tuple[str, int | None, str]]] = {}
     for run, cause, step, message in failed:
         found.setdefault(cause, []).append((run, step, message))
-    by_count = sorted(found.items(), key=lambda each: (-len(each[1]), each[1][0][0]))
     return tuple(
         FailureCause(cause, len(of), len(of) / len(failed), *of[0], *tuple(zip(*of, strict=True))[:2])
-        for cause, of in by_count
+        for cause, of in sorted(found.items(), key=lambda each: (-len(each[1]), each[1][0][0]))
     )
 
 

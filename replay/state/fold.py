@@ -132,15 +132,13 @@ def _body(body: FoldedBody) -> Body:
 def _belief(belief: Belief, bodies: Mapping[str, Body]) -> RecordedBelief:
     """Return a belief as data. A belief about a held object has the object's true pose."""
     body = bodies[belief.object]
-    held = belief.source == Belief.HELD
-    pose = body.pose if held else (vector(belief.position), quaternion(belief.orientation))
+    pose = body.pose if belief.source == Belief.HELD else (vector(belief.position), quaternion(belief.orientation))
     return RecordedBelief(belief.robot, belief.object, *pose, beliefs.word(belief.source), belief.sim_step, belief.step)
 
 
 def last_open_step(log: RecordReader, step: int, name: str | None = None) -> int:
     """Return the last step up to ``step`` at which a world is open; with a ``name``, at which this world is open."""
-    worlds = state_at(log, step).worlds
-    if any(world.open for world in worlds.values() if name in (None, world.name)):
+    if any(world.open for world in state_at(log, step).worlds.values() if name in (None, world.name)):
         return step
     lives = [lifetime for lifetime in log.lifetimes if name in (None, lifetime.world)]
     ends = {record.seq for record in map(log.end_of, lives) if record is not None and closes_world(record)}

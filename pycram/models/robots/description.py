@@ -125,8 +125,7 @@ class RobotDescription:
             return self
         text = f"without = {json.dumps(list(out), ensure_ascii=False)}\n{self.text}"  # a JSON list is also a TOML list
         rest = self.parse(text, self.source)  # parsed, because recordings contain the text
-        is_robot = "base_link" not in out and (rest.arms or rest.head or rest.camera or rest.torso)
-        return rest if is_robot else None
+        return rest if "base_link" not in out and (rest.arms or rest.head or rest.camera or rest.torso) else None
 
     def _without(self, parts: Sequence[str]) -> RobotDescription:
         """Return the description without parts; ``parts`` are names that :meth:`misfits` returns."""
@@ -431,8 +430,7 @@ class Gripper:
         in_tool: list[dict[str, Pose]] = []  # poses of the fingers: open, then closed
         for share in (1.0, 0.0):
             positions = self.at(share)
-            tool = geometry.multiply(urdf.forward_kinematics(positions, tool_frame), tool_offset)
-            inverse = geometry.invert(tool)
+            inverse = geometry.invert(geometry.multiply(urdf.forward_kinematics(positions, tool_frame), tool_offset))
             in_tool.append({f: geometry.multiply(inverse, urdf.forward_kinematics(positions, f)) for f in self.fingers})
         ways: dict[str, Vector] = {}
         for finger in self.fingers:

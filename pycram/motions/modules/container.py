@@ -171,7 +171,6 @@ def _swept(handle: Handle, values: Sequence[float]) -> Iterator[tuple[float, Col
                 deepest = min(points, key=lambda point: point.distance, default=None)
                 if deepest is not None and deepest.distance < -DEPTH:
                     known.add(body.name)
-                    pair = CollisionPair(container.name, link, body.name, deepest.link_b, -deepest.distance)
-                    yield value, pair
+                    yield value, CollisionPair(container.name, link, body.name, deepest.link_b, -deepest.distance)
     finally:
         clone.invalidate(container.name)

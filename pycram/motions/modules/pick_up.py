@@ -76,8 +76,7 @@ class PickUp(SimulatedModule):
                         robot, arm, posture, _BEHIND, opened=opened, ignored=[body], patience=patience
                     )
 
-                sides = None if side is None else (side,)
-                reach, closed = _plan(robot, arm, body, sides, approach, choice, giver)
+                reach, closed = _plan(robot, arm, body, None if side is None else (side,), approach, choice, giver)
             reach()
             with world.lock:
                 self._check_still(robot, arm, body, stood, giver)

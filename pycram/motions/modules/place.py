@@ -132,8 +132,7 @@ def _plan(
 ) -> tuple[Step, Placement]:
     """Return the step to the first placement that the arm reaches without a collision, and this placement."""
     refusals = Refusals()
-    ways = placements(robot, arm, body, target, orientation, refusals, choice)
-    for placement, patience in with_patience(ways):
+    for placement, patience in with_patience(placements(robot, arm, body, target, orientation, refusals, choice)):
         try:
             step = lower(placement.posture, placement.tool, patience)
         except NoPath as no_path:

@@ -221,8 +221,7 @@ def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> ND
     distance = offset.take(_L, axis=1) * turn.take(_KJ, axis=1)
     distance -= offset.take(_K, axis=1) * turn.take(_LJ, axis=1)
     sizes = np.concatenate([halves, other_halves], axis=1).take(_SIZES, axis=1)
-    reach = (sizes * cosines.take(_COSINES, axis=1)).reshape(-1, 4, 9).sum(axis=1)
-    apart |= (np.abs(distance) > reach).any(axis=1)
+    apart |= (np.abs(distance) > (sizes * cosines.take(_COSINES, axis=1)).reshape(-1, 4, 9).sum(axis=1)).any(axis=1)
     overlap[left[apart]] = False
     return overlap
 

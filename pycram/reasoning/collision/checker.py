@@ -224,8 +224,7 @@ class CollisionChecker:
 
     def in_the_way(self, candidate: PostureCandidate) -> list[CollisionPair]:
         """Return the deepest pair for each collision in a candidate, then colliding pairs of the robot's own links."""
-        touched = [collision["pair"] for collision in self.touched(candidate).values()]
-        return touched + self.self_collisions(candidate)
+        return [collision["pair"] for collision in self.touched(candidate).values()] + self.self_collisions(candidate)
 
     def known(self, candidate: PostureCandidate) -> list[CollisionPair]:
         """Return the checked pairs that collide; the deepest pair is first."""

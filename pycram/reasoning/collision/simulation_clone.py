@@ -74,8 +74,7 @@ class SimulationClone:
     def _load(self, body: Object, link: str, path: Path) -> _Copy:
         """Load a copy of an object from a model; with ``link``, a copy of a part whose frame is the link's frame."""
         robot = body.is_robot and not link
-        loading = body.model.loading
-        loaded = self.engine.load(path, geometry.IDENTITY, fixed=body.fixed, robot=robot, loading=loading)
+        loaded = self.engine.load(path, geometry.IDENTITY, fixed=body.fixed, robot=robot, loading=body.model.loading)
         copy = self._copies[body.name, link] = _Copy(body.handle, loaded)
         return copy
 

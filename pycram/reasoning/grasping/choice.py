@@ -203,8 +203,7 @@ class _Choice:
                 heappush(queue, (cost, option, number, depths, touches))
             elif number == _HAND:
                 for each, candidate in enumerate(self._candidates[option]):
-                    rest = self._checker.collisions(candidate, self._arm)
-                    heappush(queue, (cost, option, each, dict(depths), rest))
+                    heappush(queue, (cost, option, each, dict(depths), self._checker.collisions(candidate, self._arm)))
             elif pairs := self._checker.self_collisions(self._candidates[option][number]):
                 contorted[option, number] = GraspPlan(None, postures[number], self_collisions=pairs)
             else:
@@ -224,8 +223,7 @@ class _Choice:
                 depths[body] = depth
                 counted = {other: deep for other, deep in depths.items() if other is not self._target}
                 furniture = sum(other.fixed for other in counted)  # furniture counts more, because it can't be moved
-                movable = len(counted) - furniture
-                cost = self._target in depths, furniture, movable, sum(sorted(counted.values()))
+                cost = self._target in depths, furniture, len(counted) - furniture, sum(sorted(counted.values()))
                 if cost > enough:
                     break
         return cost

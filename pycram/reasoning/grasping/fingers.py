@@ -183,8 +183,7 @@ def close_around(
         depths = _depths(engine, hand, gripper, others)
     finally:
         clone.invalidate(robot.name)
-    deep = {key: depth for key, depth in depths.items() if depth >= DEPTH}
-    return Closing(positions, sides, _pairs(robot, deep))
+    return Closing(positions, sides, _pairs(robot, {key: depth for key, depth in depths.items() if depth >= DEPTH}))
 
 
 def sides_held(robot: Object, arm: Arm, body: Object) -> int:

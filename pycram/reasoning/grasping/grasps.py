@@ -270,8 +270,7 @@ def _on_surface(caster: RayCaster, options: Sequence[tuple[str, Quaternion]], ar
 def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice: Choice) -> Iterator[Grasp]:
     """Yield grasps over the wall of a wide hollow object: on the side of the arm, in front, and at the back."""
     gripper, bias = arm.gripper, arm.bias(robot.urdf)
-    shoulder = robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0]
-    side = 1.0 if shoulder[1] >= 0 else -1.0
+    side = 1.0 if robot.urdf.forward_kinematics({}, robot.urdf.joint(arm.joints[0]).child)[0][1] >= 0 else -1.0
     x, y, _ = caster.center
     top, bottom = caster.high[2], caster.low[2]
     height = max(top - gripper.depth, bottom + gripper.tips + _CLEARANCE)
@@ -282,8 +281,7 @@ def _rims(caster: RayCaster, robot: Object, arm: Arm, facing: Quaternion, choice
         away = geometry.rotate(facing, direction)
         frames.append(((x, y, 0.0), geometry.from_rpy(0.0, 0.0, math.atan2(away[1], away[0]))))
     walls = caster.walls([Scan(frame, first, step) for frame in frames], _LEVELS, _PADS)
-    rolls = (0.0, math.pi / 2, 0.0)
-    for label, frame, roll, wall in zip(_RIMS, frames, rolls, walls, strict=True):
+    for label, frame, roll, wall in zip(_RIMS, frames, (0.0, math.pi / 2, 0.0), walls, strict=True):
         floors = np.flatnonzero(np.isnan(wall).any(axis=1)).tolist()
         floor = floors[0] if floors else _LEVELS
         if not floor:

@@ -195,8 +195,7 @@ def plan_path(
     The first of these ``values`` is the joint's present position. ``others`` are assumed positions of other joints,
     such as the torso, rad or m; joints without a position don't move.
     """
-    moved = attachment.moved_links(handle.container.urdf, [handle.joint])
-    ignored = {(handle.container, link) for link in moved}
+    ignored = {(handle.container, link) for link in attachment.moved_links(handle.container.urdf, [handle.joint])}
     kept = arm.gripper.positions("open") | dict(others or {})
     joints = [*arm.joints, *kept]
     grips = handle.grips(robot, arm.gripper, base)
@@ -408,8 +407,7 @@ class _Search:
         for link in self._handle.moved:
             yield container.name, link, self._clone.link(container, link), self._handle.pose(value, link)
         for body, (link, pose) in self._handle.contents.items():
-            at = geometry.multiply(self._handle.pose(value, link), pose)
-            yield body.name, "", self._clone.body(body.name), at
+            yield body.name, "", self._clone.body(body.name), geometry.multiply(self._handle.pose(value, link), pose)
 
     def _end(
         self, grip: Grip, layers: Sequence[_Layer], step: int, obstacles: Mapping[int, list[CollisionPair]]
@@ -526,6 +524,5 @@ def _promising(
     tools = [geometry.multiply(handle.pose(values[number]), grip.tool(angle)) for number in picked for angle in ANGLES]
     for base in bases:
         found = solver.closed_form([(*tool, base) for tool in tools])
-        reached = np.array([bool(each) for each in found]).reshape(len(picked), len(ANGLES))
-        if reached.any(axis=1).all():
+        if np.array([bool(each) for each in found]).reshape(len(picked), len(ANGLES)).any(axis=1).all():
             yield base

@@ -123,8 +123,7 @@ def retreat(robot: Object, arm: Arm, choice: Choice) -> Mapping[str, float] | No
         name = f"{back:g} m back"
         if not choice.admits(name):
             continue
-        position = geometry.transform(tool, (-back, 0.0, 0.0))
-        for posture in inverse.postures(robot, arm.tool_frame, position, tool[1]):
+        for posture in inverse.postures(robot, arm.tool_frame, geometry.transform(tool, (-back, 0.0, 0.0)), tool[1]):
             if not posture.reaches():
                 choice.reject(name, OutOfReach(posture.position_error, posture.turn_error))
                 continue

@@ -330,11 +330,10 @@ def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Ar
     across = np.sqrt(np.maximum(rest, 0.0))
     inner, outer = np.arctan2(across, inner), np.arctan2(across, outer)
     before, after = np.arctan2(y, x), np.arctan2(v, u)
-    short = -rest / (sine * sine * np.maximum(lengths, 1e-12))
     return (
         np.array([after - outer, after + outer]),
         np.array([-inner - before, inner - before]),
-        np.sqrt(np.maximum(short - _ROUNDING_ANGLE, 0.0)),
+        np.sqrt(np.maximum(-rest / (sine * sine * np.maximum(lengths, 1e-12)) - _ROUNDING_ANGLE, 0.0)),
     )
 
 

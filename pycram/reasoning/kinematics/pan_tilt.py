@@ -46,8 +46,7 @@ def aim_camera(
         """Return x and y in rad of the rotation vector from the camera's axis to the point, in the camera's frame."""
         x, y, z = at
         off_axis = math.hypot(x, y)
-        angle = math.atan2(off_axis, z)
-        scale = angle / off_axis if off_axis > 1e-12 else 1.0
+        scale = math.atan2(off_axis, z) / off_axis if off_axis > 1e-12 else 1.0
         return x * scale, y * scale
 
     limits = [(max(urdf.joint(name).lower, -math.pi), min(urdf.joint(name).upper, math.pi)) for name in joints]

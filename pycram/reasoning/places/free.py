@@ -228,13 +228,11 @@ class SurfaceSearch(Search):
         base = self._inside(stands, searched)[:, :2]
         inside, around = maps.radii(base)
         half = geometry.narrowest_width(geometry.convex_hull(base))[0] / 2 if searched.on_object else inside
-        strip = geometry.narrowest_width(outline)[0] - 2 * (half + EDGE)
-        resolution = min(max(strip / _CELLS, _FINEST), _RESOLUTION)
+        resolution = min(max((geometry.narrowest_width(outline)[0] - 2 * (half + EDGE)) / _CELLS, _FINEST), _RESOLUTION)
         grid = Grid.over(corners.min(axis=0).tolist(), corners.max(axis=0).tolist(), height, resolution)
         centers = grid.centers()
-        fits = float(np.ptp(stands[:, 2])) <= searched.surface.clearance
         factors = [
-            ("clearance", np.full(len(centers), float(fits))),
+            ("clearance", np.full(len(centers), float(np.ptp(stands[:, 2]) <= searched.surface.clearance))),
             ("edge", self._within(centers, outline, inside, around)),
             ("room", maps.clear(centers, self._obstacles(searched), inner, outer + FINGERS)),
         ]
@@ -289,9 +287,8 @@ class SurfaceSearch(Search):
             left_out.add(searched.furniture)
         others = [each for each in self._body.world.objects if each not in left_out]
         (_, _, height), _ = searched.pose()
-        size = float(np.ptp(self._turned_corners(self._turn)[:, 2]))
         boxes = concatenate([_parked(each) if each.is_robot else clone.boxes(each) for each in others])
-        return maps.Footprints(boxes, height + _ABOVE, height + size)
+        return maps.Footprints(boxes, height + _ABOVE, height + float(np.ptp(self._turned_corners(self._turn)[:, 2])))
 
     def _beside(self, centers: Array, searched: SearchedSurface) -> Array:
         """Return the scores for the wanted side of a surface or an object; the scores are 0 on other sides."""
@@ -306,8 +303,7 @@ class SurfaceSearch(Search):
         along: Array = offsets @ (x, y)
         if reference is None:
             return np.where(along > 0.0, 1.0, 0.0)
-        across = np.abs(offsets @ (-y, x))
-        beside: Array = np.where(along > across, maps.near(centers, middle, _NEAR, _FAR), 0.0)
+        beside: Array = np.where(along > np.abs(offsets @ (-y, x)), maps.near(centers, middle, _NEAR, _FAR), 0.0)
         return beside
 
     def _reach(self, grid: Grid, robot: Object) -> Array:

@@ -84,8 +84,7 @@ class Footprints:
     def distances(self, points: Array, most: float) -> Array:
         """Return the distances (n,) in m from points (n, 2) to the nearest rectangle, from 0 inside to ``most``."""
         nearest = np.full(len(points), most * most)
-        around = np.hypot(*self.halves.T)[:, None] + most
-        for along, halves in self._along(points, self._beside(points, around)):
+        for along, halves in self._along(points, self._beside(points, np.hypot(*self.halves.T)[:, None] + most)):
             beyond = np.maximum(np.abs(along) - halves, 0.0)
             np.square(beyond, out=beyond)
             np.minimum(nearest, beyond.sum(axis=1).min(axis=0), out=nearest)
@@ -94,9 +93,8 @@ class Footprints:
 
     def between(self, points: Array, target: Sequence[float]) -> NDArray[np.bool_]:
         """Return whether the lines from points (n, 2) to a target meet a rectangle that isn't around the target."""
-        end = np.asarray(target[:2])
         hidden = np.zeros(len(points), dtype=bool)
-        ends = np.vstack([points, end])
+        ends = np.vstack([points, np.asarray(target[:2])])
         beside = self._beside(ends, (np.abs(self.axes) * self.halves[:, None]).sum(axis=2))
         for along, halves in self._along(ends, beside):
             first, last = along[..., :-1], along[..., -1:]
@@ -202,8 +200,7 @@ def draw_cells(
     """
     possible = np.flatnonzero(scores > 0.0)
     # the greatest log scores with Gumbel noise are such a sample (Yellott 1977; Efraimidis, Spirakis 2006)
-    keys = np.log(scores[possible]) + random.gumbel(size=len(possible))
-    taken = possible[np.argsort(-keys, kind="stable")[:count]]
+    taken = possible[np.argsort(-(np.log(scores[possible]) + random.gumbel(size=len(possible))), kind="stable")[:count]]
     taken = taken[np.argsort(-scores[taken], kind="stable")]
     points = grid.centers()[taken] + random.uniform(-0.5, 0.5, (len(taken), 2)) * grid.resolution
     return list(zip(taken.tolist(), map(tuple, points.round(4).tolist()), strict=True))
@@ -211,9 +208,8 @@ def draw_cells(
 
 def surroundings(robot: Object, *without: Object) -> Boxes:
     """Return boxes around all objects except a robot, its held objects, and the objects in ``without``."""
-    clone = clone_of(robot.world, "reach")
     own = {robot, *held(robot), *without}
-    return clone.all_boxes(body for body in robot.world.objects if body not in own)[0]
+    return clone_of(robot.world, "reach").all_boxes(body for body in robot.world.objects if body not in own)[0]
 
 
 def room(robot: Object, centers: Array) -> Array:
@@ -249,9 +245,8 @@ class ArmReach:
         postures = chain.lower + random.random((_POSTURES, len(arm.joints))) * (chain.upper - chain.lower)
         base_T_root = geometry.pose_matrix(urdf.forward_kinematics({}, arm.base_link))
         tools = np.concatenate([chain.poses(some) for some in np.array_split(postures, _PARTS)])
-        turns = base_T_root[:3, :3] @ tools[:, :3, :3]
         points = tools[:, :3, 3] @ base_T_root[:3, :3].T
-        across = turns[:, 2, 0]
+        across = (base_T_root[:3, :3] @ tools[:, :3, :3])[:, 2, 0]
         points = points[(np.abs(across) < _LEVEL) | (across < _DOWN)]
         flat = points[:, :2] + base_T_root[:2, 3]
         distance = np.hypot(*flat.T)

@@ -84,13 +84,11 @@ class Batch(Choice):
         if self._drawn is None:
             return groups
         grid, scores, spots = self._drawn
-        shades = np.ceil(np.clip(scores, 0.0, 1.0) * 255).astype(np.uint8)
         height, width = grid.shape
-        packed = zlib.compress(shades.tobytes())
+        packed = zlib.compress(np.ceil(np.clip(scores, 0.0, 1.0) * 255).astype(np.uint8).tobytes())
         drawn = records.Grid(origin=grid.origin, resolution=grid.resolution, width=width, height=height, scores=packed)
         for spot in spots:
-            candidate = groups.get(spot.name, -1)
-            drawn.spots.add(position=spot.pose[0], yaw=spot.yaw, score=spot.score, candidate=candidate)
+            drawn.spots.add(position=spot.pose[0], yaw=spot.yaw, score=spot.score, candidate=groups.get(spot.name, -1))
         record.grid.CopyFrom(drawn)
         return groups
 

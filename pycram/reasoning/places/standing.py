@@ -219,8 +219,7 @@ class StandingSearch(Search):
         for offset in _OFFSETS if self._goals else (0.0,):
             score = np.full(len(centers), 1.0 - _FACING * abs(offset) / (math.pi / 2))
             for number, point in enumerate(points if self._goals else ()):
-                turned = bearings[:, number] - facing - offset
-                score *= self._by_arms(point[2] - ground, distances[:, number], turned)
+                score *= self._by_arms(point[2] - ground, distances[:, number], bearings[:, number] - facing - offset)
             if self._see is not None:
                 good, far = _SIGHT
                 away = np.hypot(*(np.asarray(center(self._see)[:2]) - centers).T)

@@ -52,8 +52,7 @@ def touches(a: Object, b: Object, margin: float = MARGIN) -> list[ClosestPoint]:
     """Return where two objects of one world touch, with gaps up to a margin in m; empty if both are the same object."""
     if a is b:
         return []  # the engine would report overlaps of a body with itself
-    engine = a.world.engine
-    return [touch for touch in engine.closest_points(a.handle, b.handle, margin) if touch.distance <= margin]
+    return [touch for touch in a.world.engine.closest_points(a.handle, b.handle, margin) if touch.distance <= margin]
 
 
 def evidence(found: list[ClosestPoint]) -> dict[str, object]:

@@ -110,9 +110,8 @@ def query(function: Callable[P, Answer]) -> Callable[P, Answer]:
         try:
             bound = signature.bind(*args, **kwargs)
         except TypeError as error:
-            wrong = TypeError(f"{function.__name__}(): {error}")
             given = {**{str(number): value for number, value in enumerate(args)}, **kwargs}
-            raise refused(wrong, function.__name__, given) from None
+            raise refused(TypeError(f"{function.__name__}(): {error}"), function.__name__, given) from None
         bound.apply_defaults()
         arguments = {name: unwrap(value) for name, value in bound.arguments.items()}
         return _answer(function, _check(arguments), arguments)

@@ -79,8 +79,7 @@ def reachable_object(
     """
     if grasp is not None:
         orientation = grasp_orientation(grasp, robot)
-    ignored = [object] if collision_free else None
-    return _reach(robot, gripper_name, center(object), orientation, threshold, ignored)
+    return _reach(robot, gripper_name, center(object), orientation, threshold, [object] if collision_free else None)
 
 
 @query

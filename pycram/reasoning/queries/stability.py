@@ -61,9 +61,8 @@ def stable(object: Object, world: BulletWorld | None = None) -> Verdict:
     if object.fixed:
         return Verdict(True, {"moved": 0.0, "turned": 0.0, "simulated_steps": 0})
     bodies = _participants(object)
-    robots = any(body.is_robot for body in bodies)
     world = object.world
-    clone = clone_of(world, "physics with robots" if robots else "physics")
+    clone = clone_of(world, "physics with robots" if any(body.is_robot for body in bodies) else "physics")
     copies, furniture = clone.sync(bodies)
     free = [body for body in bodies if not body.fixed]
     on_their_own = [body for body in free if not attachment.root_of(body).fixed]
@@ -265,8 +264,7 @@ class SolidPart(Solid):
             return self._links[0]
         within = np.einsum("kji,kj->ki", self._turns, contact.position - self._positions)
         beyond = np.maximum(np.maximum(self._low - within, within - self._high), 0.0)
-        distances = np.maximum((beyond**2).sum(axis=1), _FLAT**2)
-        return self._links[int(np.lexsort([self._volumes, distances])[0])]
+        return self._links[int(np.lexsort([self._volumes, np.maximum((beyond**2).sum(axis=1), _FLAT**2)])[0])]
 
 
 def stand_firmly(
@@ -292,12 +290,11 @@ def stand_firmly(
     for body in standing:
         centers, weights = zip(*(masses[other] for other in _above([body.id], loads)), strict=True)
         center = np.average(np.array(centers), axis=0, weights=weights) @ level
-        supports = _supports(engine, body, solid_of, below[body.id], level)
         yield any(
             len(support) > 0
             and geometry.margin_in_polygon(geometry.convex_hull(support[:, :2]), center[:2].tolist())
             >= math.tan(_TILT) * (center[2] - support[:, 2].min())
-            for support in supports
+            for support in _supports(engine, body, solid_of, below[body.id], level)
         )
 
 
