@@ -8,17 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pycram.models.shapes import Shapes, shapes_of
 from recorder import geometry
-from recorder.geometry import Pose, Vector
+from recorder.geometry import Array, Flags, Pose, Vector
 
 if TYPE_CHECKING:
     from pycram.world.object import Object
+
+Integers: TypeAlias = NDArray[np.int64]  # an array of indices or pixel coordinates, of any shape
+Pixels: TypeAlias = NDArray[np.uint8]  # an RGB image (height, width, 3)
 
 NEAR: Final = 0.02  # nearest visible distance in m
 FAR: Final = 20.0  # farthest visible distance in m
@@ -33,31 +36,29 @@ _BATCH: Final = 1 << 16  # number of pixels of small triangles that are drawn to
 class Rendering:
     """A rendered picture."""
 
-    depth: NDArray[np.float64]  # (height, width) distance in m along the camera's axis; inf without an object
-    bodies: NDArray[np.int64]  # (height, width) indices of the rendered objects; -1 without an object
-    triangles: NDArray[np.float64]  # (n, 3, 3) rendered triangles in the camera's frame, m
-    colors: NDArray[np.float64]  # (n, 3) colours of the triangles, RGB 0..1
-    seen: NDArray[np.int64]  # (height, width) index of the triangle at each pixel; -1 without a triangle
+    depth: Array  # (height, width) distance in m along the camera's axis; inf without an object
+    bodies: Integers  # (height, width) indices of the rendered objects; -1 without an object
+    triangles: Array  # (n, 3, 3) rendered triangles in the camera's frame, m
+    colors: Array  # (n, 3) colours of the triangles, RGB 0..1
+    seen: Integers  # (height, width) index of the triangle at each pixel; -1 without a triangle
     links: Sequence[str]  # names of the rendered links
-    numbers: NDArray[np.int64]  # (n,) index of the link of each triangle
+    numbers: Integers  # (n,) index of the link of each triangle
 
-    def picture(self, up: Sequence[float]) -> NDArray[np.uint8]:
+    def picture(self, up: Sequence[float]) -> Pixels:
         """Return an RGB image (height, width, 3), lit from the camera and from above (``up`` in the camera's frame)."""
         image = self._lit(up)[self.seen]
         empty = self.seen < 0
         image[empty] = np.asarray(np.linspace(*_SKY, len(image)) * 255, dtype=np.uint8)[np.nonzero(empty)[0]]
         return image
 
-    def picture_before(
-        self, behind: NDArray[np.uint8], depth: NDArray[np.float64], up: Sequence[float]
-    ) -> NDArray[np.uint8]:
+    def picture_before(self, behind: Pixels, depth: Array, up: Sequence[float]) -> Pixels:
         """Return the colour image ``behind``, which has the ``depth`` in m, with the nearer pixels of this picture."""
         nearer = self.depth < depth
         image = behind.copy()
         image[nearer] = self._lit(up)[self.seen[nearer]]
         return image
 
-    def _lit(self, up: Sequence[float]) -> NDArray[np.uint8]:
+    def _lit(self, up: Sequence[float]) -> Pixels:
         """Return the colours of the triangles, RGB; only the colours of visible triangles are computed."""
         used = np.zeros(len(self.triangles) + 1, dtype=bool)
         used[self.seen] = True
@@ -140,9 +141,9 @@ class Camera:
         """The upward direction of the world, in the optical frame."""
         return geometry.rotate(geometry.conjugate(self.pose[1]), (0.0, 0.0, 1.0))
 
-    def to_frame(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+    def to_frame(self, points: Array) -> Array:
         """Return world points (..., 3) in the optical frame, m."""
-        seen: NDArray[np.float64] = (points - np.asarray(self.pose[0])) @ geometry.to_matrix(self.pose[1])
+        seen: Array = (points - np.asarray(self.pose[0])) @ geometry.to_matrix(self.pose[1])
         return seen
 
     def render(
@@ -171,9 +172,7 @@ class Camera:
         names = [link for _, link, _, _ in parts]
         return Rendering(depth, np.append(owners, -1)[seen], triangles, colors, seen, names, numbers)
 
-    def _parts(
-        self, bodies: Sequence[Drawable], window: Window, far: float
-    ) -> Iterator[tuple[int, str, NDArray[np.float64], NDArray[np.float64]]]:
+    def _parts(self, bodies: Sequence[Drawable], window: Window, far: float) -> Iterator[tuple[int, str, Array, Array]]:
         """Yield links that may be visible: index of the body, name, triangles in the camera's frame, colours."""
         models = [body.shapes for body in bodies]
         links = [(index, link) for index, shapes in enumerate(models) for link in range(len(shapes.links))]
@@ -197,9 +196,7 @@ class Camera:
             turned = models[index].triangles(link) @ (to_camera @ turns[number]).T
             yield index, models[index].links[link], turned + self.to_frame(positions[number]), colors
 
-    def _shown(
-        self, centers: NDArray[np.float64], radii: NDArray[np.float64], window: Window, far: float
-    ) -> NDArray[np.bool_]:
+    def _shown(self, centers: Array, radii: Array, window: Window, far: float) -> Flags:
         """Return whether each sphere is in the view frustum of a window."""
         x, y, z = self.to_frame(centers).T
         shown = (z + radii >= self.near) & (z - radii <= far)
@@ -220,8 +217,8 @@ class Window:
 
 
 def rasterize(
-    triangles: NDArray[np.float64], window: Window, size: tuple[int, int], near: float, far: float
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    triangles: Array, window: Window, size: tuple[int, int], near: float, far: float
+) -> tuple[Array, Integers]:
     """Return the depth and the triangle at each pixel's center. Both sides of triangles are visible.
 
     Args:
@@ -268,16 +265,14 @@ def rasterize(
     return np.where(seen >= 0, 1.0 / nearness, np.inf), seen
 
 
-def _value(
-    factors: NDArray[np.float64], part: NDArray[np.int64], columns: NDArray[np.int64], rows: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _value(factors: Array, part: Integers, columns: Integers, rows: Integers) -> Array:
     """Return the value of a triangle's plane at each pixel; ``part`` has the index of the pixel's triangle."""
     a, b, c = factors.T
-    values: NDArray[np.float64] = a[part] * columns + b[part] * rows + c[part]
+    values: Array = a[part] * columns + b[part] * rows + c[part]
     return values
 
 
-def _bounds(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _bounds(axis: Array, limit: int) -> tuple[Integers, Integers]:
     """Return the first pixel along an axis whose center may be in each triangle, and the pixels' end."""
     a, b, c = axis.T  # the minimum of three columns is much faster than the minimum along rows
     low = np.ceil(np.clip(np.minimum(np.minimum(a, b), c), 0, limit)).astype(np.int64)
@@ -285,11 +280,7 @@ def _bounds(axis: NDArray[np.float64], limit: int) -> tuple[NDArray[np.int64], N
 
 
 def _bands(
-    planes: NDArray[np.float64],
-    left: NDArray[np.int64],
-    right: NDArray[np.int64],
-    top: NDArray[np.int64],
-    bottom: NDArray[np.int64],
+    planes: Array, left: Integers, right: Integers, top: Integers, bottom: Integers
 ) -> Iterator[tuple[int, int, int, int, int]]:
     """Yield parts of large triangles: index of the triangle, first row, end of rows, first column, end of columns."""
     counts = -(-(bottom - top) // _BAND)
@@ -308,7 +299,7 @@ def _bands(
     yield from zip(*(each[kept].tolist() for each in (owner, low, high, start, end)), strict=True)
 
 
-def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.float64]) -> NDArray[np.float64]:
+def _planes(u: Array, v: Array, inverse: Array) -> Array:
     """Return (n, 4, 3) factors of column, row and 1: three planes for the corners' weights, one for 1 / depth."""
     u1, v1, u2, v2 = np.roll(u, -1, axis=1), np.roll(v, -1, axis=1), np.roll(u, 1, axis=1), np.roll(v, 1, axis=1)
     edges = np.stack([v1 - v2, u2 - u1, u1 * v2 - u2 * v1], axis=2)
@@ -318,7 +309,7 @@ def _planes(u: NDArray[np.float64], v: NDArray[np.float64], inverse: NDArray[np.
     return np.concatenate([weights, nearness], axis=1)
 
 
-def _clip(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _clip(triangles: Array, near: float) -> tuple[Array, Integers]:
     """Return the parts of triangles behind the near plane, as triangles, with the indices of the original triangles."""
     beyond = triangles[:, :, 2] > near
     count = beyond.sum(axis=1)
@@ -336,25 +327,21 @@ def _clip(triangles: NDArray[np.float64], near: float) -> tuple[NDArray[np.float
     return np.concatenate(parts), np.concatenate([all_three, one, two, two])
 
 
-def _odd_first(triangles: NDArray[np.float64], odd: NDArray[np.bool_]) -> tuple[NDArray[np.float64], ...]:
+def _odd_first(triangles: Array, odd: Flags) -> tuple[Array, ...]:
     """Return the corners of triangles; the corner that differs in ``odd`` comes first."""
     rows = np.arange(len(triangles))
     start = odd.argmax(axis=1)
     return tuple(triangles[rows, (start + turn) % 3] for turn in range(3))
 
 
-def _at(a: NDArray[np.float64], b: NDArray[np.float64], near: float) -> NDArray[np.float64]:
+def _at(a: Array, b: Array, near: float) -> Array:
     """Return the points at which edges cross the near plane."""
     return a + ((near - a[:, 2]) / (b[:, 2] - a[:, 2]))[:, None] * (b - a)
 
 
 def _covered(
-    shown: NDArray[np.int64],
-    left: NDArray[np.int64],
-    right: NDArray[np.int64],
-    top: NDArray[np.int64],
-    bottom: NDArray[np.int64],
-) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]:
+    shown: Integers, left: Integers, right: Integers, top: Integers, bottom: Integers
+) -> Iterator[tuple[Integers, Integers, Integers]]:
     """Yield batches of pixels in the bounds of triangles: indices of triangles, columns, rows."""
     wide = right - left
     counts = wide[shown] * (bottom - top)[shown]

@@ -13,7 +13,6 @@ from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
-from types import TracebackType
 from typing import Final, Self, TypeAlias, cast, overload
 
 from pycram.foundation.errors import OnError, chained, raise_unchanged
@@ -230,9 +229,7 @@ class Block:
         entering.enter_context(self._span)
         self.state = State.RUNNING
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
         with self._entered:  # the end fails if it can't wait for the branches, or if the block began in another context
             raised = self._close(error)
             self._span.error = raised or self._span.error
@@ -379,9 +376,7 @@ class ReadBlock(Block):
         if self._dropping:  # no branch can start any more
             self._drop()
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> bool:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> bool:
         if error is not None and not isinstance(error, (PlanFailure, Cancelled)):
             self.scope.cancel()  # the program has an error, or the user interrupts the program
         self._body_error = error if isinstance(error, Exception) else None

@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.models.shapes import convex_hulls, distinct, pieces_of
 from recorder import geometry
-from recorder.geometry import Array, Pose
+from recorder.geometry import Array, Flags, Indices, Pose
 
 
 class Least(NamedTuple):
@@ -120,12 +119,10 @@ def _faces_of(tops: Sequence[Piece], every: Sequence[Piece], bounds: Array, leas
                 yield Face(tops[0].link, middle, yaw, outline - center, float(clearance[within].min()))
 
 
-def _free(
-    tops: Sequence[Piece], above: Sequence[Piece], height: float, points: Array
-) -> tuple[NDArray[np.bool_], Array]:
+def _free(tops: Sequence[Piece], above: Sequence[Piece], height: float, points: Array) -> tuple[Flags, Array]:
     """Return whether each of the points (n, m, 2) is on the top, and the free height above each point in m."""
     flat, shape = points.reshape(-1, 2), points.shape[:2]
-    standing: NDArray[np.bool_] = np.any(vertical_extents(tops, flat)[1] >= height - _THICK, axis=1)
+    standing: Flags = np.any(vertical_extents(tops, flat)[1] >= height - _THICK, axis=1)
     if not above:
         return standing.reshape(shape), np.full(shape, np.inf)
     into, out = vertical_extents(above, flat)
@@ -133,9 +130,7 @@ def _free(
     return standing.reshape(shape), clearance.reshape(shape)
 
 
-def _rectangles(
-    free: NDArray[np.bool_], rows: Array, columns: Array, least: Least
-) -> Iterator[tuple[Array, NDArray[np.bool_]]]:
+def _rectangles(free: Flags, rows: Array, columns: Array, least: Least) -> Iterator[tuple[Array, Flags]]:
     for top, left, bottom, right in divide(free, rows, columns, least.side, least.area):
         within = np.zeros_like(free)
         within[top:bottom, left:right] = True
@@ -193,7 +188,7 @@ class Rectangle(NamedTuple):
     right: int
 
 
-def divide(free: NDArray[np.bool_], rows: Array, columns: Array, side: float, area: float) -> Iterator[Rectangle]:
+def divide(free: Flags, rows: Array, columns: Array, side: float, area: float) -> Iterator[Rectangle]:
     """Yield disjoint rectangles of free cells: each is the largest rectangle of the remaining cells.
 
     The flags ``free`` (n, m) are between grid lines, rows (n + 1,) and columns (m + 1,), ascending, m. ``side`` in m
@@ -206,7 +201,7 @@ def divide(free: NDArray[np.bool_], rows: Array, columns: Array, side: float, ar
         left[cells.top : cells.bottom, cells.left : cells.right] = False
 
 
-def _largest(free: NDArray[np.bool_], rows: Array, columns: Array, side: float) -> tuple[float, Rectangle] | None:
+def _largest(free: Flags, rows: Array, columns: Array, side: float) -> tuple[float, Rectangle] | None:
     """Return the largest rectangle of free cells and its area, from a histogram of each row."""
     best: tuple[float, Rectangle] | None = None
     starts = np.zeros(free.shape[1], dtype=np.intp)  # for each column, the first row of free cells above ``row``
@@ -242,7 +237,7 @@ def vertical_extents(every: Sequence[Piece], points: Array) -> tuple[Array, Arra
     return _through(every, np.column_stack([points, np.zeros(len(points))]), np.array([[0.0, 0.0, 1.0]]))
 
 
-def first_met(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[NDArray[np.intp], Array]:
+def first_met(every: Sequence[Piece], origins: Array, directions: Array) -> tuple[Indices, Array]:
     """Return the index of the first piece that each ray (n, 3) hits, and the distance in m; infinite without a hit."""
     into, out = _through(every, origins, directions)
     met = np.where((into <= out) & (out > 0), np.maximum(into, 0.0), np.inf)
@@ -267,7 +262,7 @@ def _through(every: Sequence[Piece], origins: Array, directions: Array) -> tuple
     return into, out
 
 
-def _near(piece: Piece, origins: Array, directions: Array) -> NDArray[np.intp]:
+def _near(piece: Piece, origins: Array, directions: Array) -> Indices:
     """Return the indices of the lines that pass through a piece's bounding box, widened by ``_GAP``."""
     with np.errstate(divide="ignore", invalid="ignore"):
         ends = (np.stack([piece.low - _GAP, piece.high + _GAP])[:, None] - origins) / directions

@@ -21,7 +21,7 @@ from copy import copy
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import TYPE_CHECKING, Final, Self, TypeAlias
 
 from greenlet import getcurrent, greenlet
@@ -599,9 +599,7 @@ class Lock:
         _local.locks += acquired
         return acquired
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         _local.locks -= 1
         self._lock.release()
 

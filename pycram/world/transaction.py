@@ -12,7 +12,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
-from types import TracebackType
 from typing import TYPE_CHECKING, ClassVar, Final, Protocol
 
 from pycram.foundation.errors import call_all, chained
@@ -268,9 +267,7 @@ class WorldLock(Lock):
                 self.contenders.remove(thread)
         self._depth += 1
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Release the lock, then make the deferred calls; then raise their first error.
 
         If the ``with`` block failed, its error propagates instead, with the errors of calls as its context.
@@ -279,7 +276,7 @@ class WorldLock(Lock):
         self._depth -= 1
         if not self._depth:
             deferred, self._deferred = self._deferred, []
-        super().__exit__(kind, error, traceback)
+        super().__exit__(kind, error, trace)
         errors = call_all(deferred)
         if error is not None:
             chained(error, errors)

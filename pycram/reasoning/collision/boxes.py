@@ -14,20 +14,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.models import shapes
 from pycram.models.store import stored_tree
 from pycram.reasoning.kinematics.forward import Articulation, drivers
 from pycram.world import attachment
 from recorder import geometry
-from recorder.geometry import Array, Pose
+from recorder.geometry import Array, Flags, Indices, Pose
 from recorder.urdf import Urdf
 
 if TYPE_CHECKING:
     from pycram.world.object import Object
 
-    Indices = NDArray[np.intp]
     Owner = tuple[str, str]
 
 _MARGIN: Final = 1.5e-3  # margin in m on each side of a box, because the engine pads shapes by 1 mm
@@ -71,7 +69,7 @@ class Boxes:
         extents = _world_extents(self.axes, self.half_extents)
         return self.centers - extents, self.centers + extents
 
-    def subset(self, which: NDArray[np.bool_]) -> Boxes:
+    def subset(self, which: Flags) -> Boxes:
         """Return the boxes whose flags (k,) are true."""
         links = tuple(link for link, wanted in zip(self.links, which, strict=True) if wanted)
         return Boxes(links, self.centers[which], self.axes[which], self.half_extents[which])
@@ -202,16 +200,14 @@ def overlapping_pairs(
     return posture[found], pair[found]
 
 
-def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> NDArray[np.bool_]:
+def _overlap(a: tuple[Array, Array, Array], b: tuple[Array, Array, Array]) -> Flags:
     """Return whether pairs (n,) of boxes (centers, axes, half extents) overlap, tested with 15 separating axes."""
     (centers, axes, halves), (other_centers, other_axes, other_halves) = a, b
     back = axes.transpose(0, 2, 1)
     turn = back @ other_axes  # axes of the other boxes in the frames of the boxes
     offset = (back @ (other_centers - centers)[:, :, None])[:, :, 0]
     cosines = np.abs(turn) + _PARALLEL
-    overlap: NDArray[np.bool_] = np.all(
-        np.abs(offset) <= halves + (cosines @ other_halves[:, :, None])[:, :, 0], axis=1
-    )
+    overlap: Flags = np.all(np.abs(offset) <= halves + (cosines @ other_halves[:, :, None])[:, :, 0], axis=1)
     left = np.flatnonzero(overlap)  # the axes of the first boxes separate most pairs
     turn, offset, cosines, halves, other_halves = (part[left] for part in (turn, offset, cosines, halves, other_halves))
     along = (turn.transpose(0, 2, 1) @ offset[:, :, None])[:, :, 0]
@@ -260,7 +256,7 @@ class MovingLinks:
         self._swung = fixed.all_drivers >= 0
         self._swung_boxes = self._all_boxes.subset(self._swung)
 
-    def self_overlaps(self, transforms: NDArray[np.float64]) -> list[dict[tuple[Owner, Owner], None]]:
+    def self_overlaps(self, transforms: Array) -> list[dict[tuple[Owner, Owner], None]]:
         """Return, for each posture, the pairs of links with overlapping boxes, except neighbours.
 
         A held object has the same neighbours as its link. The first of two links moves, or belongs to a held object.
@@ -293,13 +289,13 @@ class _Structure:
 
     moving: frozenset[str]  # names of the checked links
     owners: Sequence[Owner]  # owner of each checked box: a link, or the link that holds the object
-    drivers: NDArray[np.intp]  # (k,) index of the joint that moves each checked box; -1 for none
+    drivers: Indices  # (k,) index of the joint that moves each checked box; -1 for none
     all_owners: Sequence[Owner]  # owner of each box of the robot and of objects that moving links hold
-    all_drivers: NDArray[np.intp]  # index of the joint that moves each box; -1 for none
-    checked: NDArray[np.bool_]  # whether each box is checked
+    all_drivers: Indices  # index of the joint that moves each box; -1 for none
+    checked: Flags  # whether each box is checked
     # indices of the first and second boxes of pairs that may touch, in ascending order, without neighbours
-    pairs: tuple[NDArray[np.intp], NDArray[np.intp]]
-    own: NDArray[np.intp]  # (n, n) number of joints that move the first box's link but not the second box's link
+    pairs: tuple[Indices, Indices]
+    own: Indices  # (n, n) number of joints that move the first box's link but not the second box's link
     numbers: Mapping[str, int]  # index of any one box of each link
 
 
@@ -348,17 +344,17 @@ def _structure(
     )
 
 
-def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> NDArray[np.intp]:
+def _own_joints(urdf: Urdf, links: Collection[str], joints: Collection[str]) -> Indices:
     """Return an array (n, n) for n links: the number of joints above the first link that aren't above the second."""
     columns = {name: number for number, name in enumerate(joints)}
-    above: dict[str, NDArray[np.intp]] = {}
+    above: dict[str, Indices] = {}
     for link in urdf.links:  # a parent comes before its children
         joint = urdf.parent_joint(link)
         above[link] = np.zeros(len(columns), dtype=np.intp) if joint is None else above[joint.parent].copy()
         if joint is not None and joint.name in columns:
             above[link][columns[joint.name]] = 1
     rows = np.array([above[link] for link in links]).reshape(len(links), len(columns))
-    own: NDArray[np.intp] = rows @ (1 - rows.T)
+    own: Indices = rows @ (1 - rows.T)
     return own
 
 

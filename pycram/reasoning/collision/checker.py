@@ -13,14 +13,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Final, Self, TypedDict
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.foundation.failures import CollisionPair
 from pycram.physics.body import ClosestPoint, LoadedBody
 from pycram.reasoning.collision.boxes import Boxes, MovingLinks, joint_counts, overlaps
 from pycram.reasoning.collision.simulation_clone import clone_of
 from recorder import geometry
-from recorder.geometry import Pose
+from recorder.geometry import Array, Indices, Pose
 
 if TYPE_CHECKING:
     from pycram.world.object import Object
@@ -48,8 +47,8 @@ class PostureCandidate:
 
     positions: Mapping[str, float]  # joint positions in rad or m by name; other joints don't move
     base: Pose | None  # pose of the robot's base; None for its present pose
-    overlaps: tuple[NDArray[np.intp], NDArray[np.intp]]  # (n,) indices of moving boxes, and of the boxes in overlap
-    transforms: NDArray[np.float64]  # (joints + 1, 4, 4) transforms of the links by each joint
+    overlaps: tuple[Indices, Indices]  # (n,) indices of moving boxes, and of the boxes in overlap
+    transforms: Array  # (joints + 1, 4, 4) transforms of the links by each joint
     # pairs of links whose boxes overlap, in the order of checks; empty until pairs() is called
     pairs: list[Pair] = field(default_factory=list)
     touches: dict[Pair, list[ClosestPoint]] = field(default_factory=dict)  # contact points of the checked pairs
@@ -59,7 +58,7 @@ class PostureCandidate:
 class _Single:
     copy: LoadedBody  # the body in the clone
     driver: int  # index of the joint that moves it; -1 for none
-    frame: NDArray[np.float64]  # (4, 4) present pose of the link, or of the held object's link
+    frame: Array  # (4, 4) present pose of the link, or of the held object's link
     candidate: PostureCandidate | None = None  # the candidate whose pose it has
 
 
@@ -135,7 +134,7 @@ class CollisionChecker:
         transforms = self._links.articulation.transforms([{}] * len(bases))
         return self._overlapping([{}] * len(bases), bases, transforms, self._carried(bases)[:, None] @ transforms)
 
-    def _carried(self, bases: Sequence[Pose]) -> NDArray[np.float64]:
+    def _carried(self, bases: Sequence[Pose]) -> Array:
         """Return the transforms (n, 4, 4) of the robot from its present pose to other poses of its base."""
         placed = np.zeros((len(bases), 4, 4))
         placed[:, :3, :3] = geometry.to_matrices(np.array([orientation for _, orientation in bases]))
@@ -151,11 +150,7 @@ class CollisionChecker:
         return Boxes(boxes.links, centers[0], axes[0], boxes.half_extents).subset(own)
 
     def _overlapping(
-        self,
-        postures: Sequence[Mapping[str, float]],
-        bases: Sequence[Pose | None],
-        transforms: NDArray[np.float64],
-        moved: NDArray[np.float64],
+        self, postures: Sequence[Mapping[str, float]], bases: Sequence[Pose | None], transforms: Array, moved: Array
     ) -> list[PostureCandidate]:
         """Return candidates for postures; ``moved`` has the links' transforms, including the motion of the base."""
         centers, axes = self._links.boxes.moved(moved[:, self._links.drivers])

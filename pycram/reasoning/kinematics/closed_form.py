@@ -13,14 +13,12 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.models.shapes import distinct
 from pycram.reasoning.kinematics import forward
-from recorder.geometry import Array
+from recorder.geometry import Array, Flags, Indices
 
 if TYPE_CHECKING:
-    Flags = NDArray[np.bool_]
     Hinge = tuple[Array, Array, Array]
 
 _ROUNDING: Final = 1e-9  # tolerance in rad beyond a limit
@@ -178,7 +176,7 @@ class ClosedForm:
         wrists = positions + rotations @ (self.wrist - self.tool[:3, 3])
         return rotations, wrists, self._with_straight(wrists, samples)
 
-    def _to_turn(self, arm: Array, rotations: Array, target: NDArray[np.intp]) -> tuple[Array, Array]:
+    def _to_turn(self, arm: Array, rotations: Array, target: Indices) -> tuple[Array, Array]:
         """Return positions (2n, 3) of the wrist's joints that turn the hand to targets (n,), and their strains (n,)."""
         w = self.axes
         first, second, third, fourth = forward.transforms(self.rotations[:4], arm.T)

@@ -16,12 +16,11 @@ from typing import TYPE_CHECKING, Final
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.reasoning.kinematics.closed_form import ClosedForm
 from pycram.reasoning.kinematics.forward import Chain, norms, rotation_error
 from recorder import geometry
-from recorder.geometry import IDENTITY, Array, Pose, PoseLike, Quaternion, Vector
+from recorder.geometry import IDENTITY, Array, Flags, Indices, Pose, PoseLike, Quaternion, Vector
 
 if TYPE_CHECKING:
     from pycram.world.object import Object
@@ -53,8 +52,8 @@ _MAX_CHAINS: Final = 16  # number of cached chains of a robot
 
 
 def search_postures(
-    chain: Chain, start: Array, goals: Array, turns: Array | None, targets: NDArray[np.intp], *, stop_early: bool
-) -> tuple[Array, NDArray[np.bool_]]:
+    chain: Chain, start: Array, goals: Array, turns: Array | None, targets: Indices, *, stop_early: bool
+) -> tuple[Array, Flags]:
     """Search for postures that reach targets, from several starts for each target, all together.
 
     The results for a target don't depend on the other targets.
@@ -114,7 +113,7 @@ def search_postures(
     return found, reached
 
 
-def _first_rows(targets: NDArray[np.intp]) -> NDArray[np.intp]:
+def _first_rows(targets: Indices) -> Indices:
     """Return the first row of each target; ``targets`` has the target's index for each row, in ascending order."""
     return np.flatnonzero(np.diff(targets, prepend=-1))
 
@@ -168,7 +167,7 @@ class ArmKinematics:
 
     def __init__(self, chain: Chain) -> None:
         self.chain = chain
-        self._latest: tuple[object, tuple[Array, NDArray[np.bool_]] | None] = None, None  # inputs, results of a search
+        self._latest: tuple[object, tuple[Array, Flags] | None] = None, None  # inputs, results of a search
         self._closed: ClosedForm | None = None
         if chain.joints and not chain.sliding:
             self._closed = ClosedForm.of(*chain.at_zero(), chain.lower, chain.upper, chain.bounded)

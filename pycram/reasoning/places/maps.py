@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pycram.models.robots.description import Arm
 from pycram.reasoning.collision.boxes import Boxes
@@ -21,7 +20,7 @@ from pycram.scheduling.schedule import run_seed
 from pycram.world.attachment import held
 from pycram.world.object import Object
 from recorder import geometry
-from recorder.geometry import Array, Vector
+from recorder.geometry import Array, Flags, Indices, Vector
 from recorder.urdf import Urdf
 
 _UPRIGHT: Final = 0.999  # minimum vertical component of a unit axis of an upright box
@@ -43,7 +42,7 @@ _SECTORS: Final = 24  # number of sectors of the bearing in a full turn
 _FULL: Final = 0.9  # quantile of the counts from which a cell has the full score
 
 
-def scattered(scores: Array, cells: NDArray[np.intp], count: int) -> Array:
+def scattered(scores: Array, cells: Indices, count: int) -> Array:
     """Return a map (count,) that has the scores at some cells and 0 elsewhere."""
     whole = np.zeros(count)
     whole[cells] = scores
@@ -91,7 +90,7 @@ class Footprints:
         distances: Array = np.sqrt(nearest)
         return distances
 
-    def between(self, points: Array, target: Sequence[float]) -> NDArray[np.bool_]:
+    def between(self, points: Array, target: Sequence[float]) -> Flags:
         """Return whether the lines from points (n, 2) to a target meet a rectangle that isn't around the target."""
         hidden = np.zeros(len(points), dtype=bool)
         ends = np.vstack([points, np.asarray(target[:2])])
@@ -107,13 +106,13 @@ class Footprints:
             hidden |= (met & (np.abs(last) > halves).any(axis=1)).any(axis=0)
         return hidden
 
-    def _beside(self, points: Array, around: Array) -> NDArray[np.bool_]:
+    def _beside(self, points: Array, around: Array) -> Flags:
         """Return whether rectangles (k,) are within (k, 1) or (k, 2) m of the bounds of points (n, 2)."""
         low, high = points.min(axis=0, initial=np.inf), points.max(axis=0, initial=-np.inf)
-        counted: NDArray[np.bool_] = ((self.centers >= low - around) & (self.centers <= high + around)).all(axis=1)
+        counted: Flags = ((self.centers >= low - around) & (self.centers <= high + around)).all(axis=1)
         return counted
 
-    def _along(self, points: Array, counted: NDArray[np.bool_]) -> Iterator[tuple[Array, Array]]:
+    def _along(self, points: Array, counted: Flags) -> Iterator[tuple[Array, Array]]:
         """Yield points (n, 2) in the frames of the counted rectangles, (k, 2, n) in m, and half extents (k, 2, 1).
 
         The rectangles come in parts that fit into the processor's cache.
@@ -269,7 +268,7 @@ class ArmReach:
 
     def _cells(
         self, height: Array, distance: Array, bearing: Array, shape: tuple[int, ...]
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
+    ) -> tuple[Indices, Indices, Indices]:
         z = ((height - self._low) / _CELL).astype(np.intp).clip(0, shape[0] - 1)
         rho = (distance / _CELL).astype(np.intp).clip(0, shape[1] - 1)
         return z, rho, np.round(bearing / (2 * math.pi / _SECTORS)).astype(np.intp) % _SECTORS
