@@ -55,8 +55,7 @@ def place(file: str, line: int) -> str:
 
 def own_variables() -> Mapping[str, object]:
     """Return the variables that IPython adds to the user's variables: In, Out, _i3, ..."""
-    hidden: Mapping[str, object] = getattr(_shell(), "user_ns_hidden", {})
-    return hidden
+    return getattr(_shell(), "user_ns_hidden", {})
 
 
 def traceback_lines(error: BaseException) -> list[str]:

@@ -438,9 +438,7 @@ def _same(a: object, b: object) -> bool:
         return len(a) == len(b) and all(map(_same, a, b))
     if isinstance(a, int | float) and isinstance(b, int | float) and not isinstance(a, bool) | isinstance(b, bool):
         return a == b or abs(a - b) <= _NUMBER
-    if isinstance(a, str) and isinstance(b, str):
-        return without_addresses(a) == without_addresses(b)
-    return a == b
+    return without_addresses(a) == without_addresses(b) if isinstance(a, str) and isinstance(b, str) else a == b
 
 
 class EndingSink:

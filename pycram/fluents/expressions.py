@@ -309,10 +309,8 @@ def _reachable(given: Iterable[Expression], next_to: Callable[[Expression], Iter
 
 
 def _counters(expression: Expression) -> Collection[PulseCounter]:
-    counters = expression.counters
-    if counters is None:
-        return ()
-    return [counter for reference in counters.valuerefs() if (counter := reference()) is not None]
+    references = () if expression.counters is None else expression.counters.valuerefs()
+    return [counter for reference in references if (counter := reference()) is not None]
 
 
 def counters_on(pulsed: Collection[Expression]) -> list[PulseCounter]:

@@ -253,8 +253,7 @@ def _planes(corners: Array, hull: Hull | None) -> Array:
 
 def distinct(values: NDArray[Number], axis: int | None = None) -> NDArray[Number]:
     """Return the sorted distinct values. Without counts, NumPy would import masked arrays, which takes 10 ms."""
-    found: NDArray[Number] = np.unique(values, return_counts=True, axis=axis)[0]
-    return found
+    return np.unique(values, return_counts=True, axis=axis)[0]
 
 
 class Hull(NamedTuple):

@@ -190,9 +190,7 @@ class Engine:
         if known:
             return known[0].pose
         pose = self.center_pose(body)
-        if body.offset is None:
-            return pose
-        return geometry.multiply(pose, geometry.invert(body.offset))
+        return pose if body.offset is None else geometry.multiply(pose, geometry.invert(body.offset))
 
     def set_pose(self, body: LoadedBody, pose: Pose) -> None:
         """Set the pose of the base link; its velocity becomes 0."""

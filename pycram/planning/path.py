@@ -170,8 +170,7 @@ def _looked_at(query: Query, knots: Knots, fine: float) -> Array:
     """Return configurations (n, d) of a timed path, about a step apart."""
     rows = timing.at(knots, np.arange(0.0, knots.times[-1], 1 / _RATE))
     moved = np.cumsum(np.abs(np.diff(rows, axis=0) * query.space.weights).max(axis=1, initial=0.0))
-    picked: Array = rows[1:][np.diff(np.floor(moved / fine), prepend=0.0) > 0]
-    return picked
+    return rows[1:][np.diff(np.floor(moved / fine), prepend=0.0) > 0]
 
 
 @dataclass(frozen=True, slots=True)

@@ -151,8 +151,7 @@ def at(knots: Knots, times: Array) -> Array:
     s = (times[:, None] - knots.times[after - 1][:, None]) / spans
     a, b = knots.positions[after - 1], knots.positions[after]
     v, w = knots.velocities[after - 1] * spans, knots.velocities[after] * spans
-    rows: Array = a + s * (v + s * (3 * (b - a) - 2 * v - w + s * (2 * (a - b) + v + w)))
-    return rows
+    return a + s * (v + s * (3 * (b - a) - 2 * v - w + s * (2 * (a - b) + v + w)))
 
 
 class NoVelocityLimit(UserWarning):

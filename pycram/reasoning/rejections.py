@@ -191,6 +191,4 @@ def short(value: Any) -> object:
         return round(value, _DIGITS)
     if isinstance(value, CollisionPair):
         return {key: short(item) for key, item in value.__record__().items() if item != ""}
-    if isinstance(value, list | tuple):
-        return [short(item) for item in value]
-    return value
+    return [short(item) for item in value] if isinstance(value, list | tuple) else value

@@ -128,8 +128,7 @@ def is_future(value: object) -> bool:
 
 def branch_of(value: object) -> Pending | None:
     """Return the branch of a future without waiting; None for other values."""
-    branch: Pending | None = object.__getattribute__(value, "_branch") if is_future(value) else None
-    return branch
+    return object.__getattribute__(value, "_branch") if is_future(value) else None
 
 
 def branches_in(value: object) -> Iterator[Pending]:

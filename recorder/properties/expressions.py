@@ -142,10 +142,8 @@ class Scene:
             if arm not in arms:
                 raise NoValue(f"no arm is called {arm}{did_you_mean(arm, arms)}", arm, arms)
             links = arms[arm]
-        for held in world.attachments.values():
-            if held.carrier == world.robot and (links is None or held.carrier_link in links):
-                return held.body
-        return None
+        carried = (held for held in world.attachments.values() if held.carrier == world.robot)
+        return next((held.body for held in carried if links is None or held.carrier_link in links), None)
 
     def touches(self, one: str, other: str) -> dict[tuple[tuple[str, str], tuple[str, str]], Touch]:
         """Return the contacts of pairs of bodies. Each name is a body, BODY.LINK, a link, or a pattern with ``*``."""
@@ -541,9 +539,7 @@ def _kind(node: ast.expr) -> str:
 
 
 def _part(owner: Any, name: str) -> Any:
-    if isinstance(owner, BodyQuantities):
-        return owner.part(name)
-    return _item(owner, name)
+    return owner.part(name) if isinstance(owner, BodyQuantities) else _item(owner, name)
 
 
 def _item(owner: Any, key: int | str) -> Any:
@@ -568,9 +564,7 @@ def _equal(a: Any, b: Any) -> Truth:
     a, b = (value.name if isinstance(value, BodyQuantities) else value for value in (a, b))
     if isinstance(a, tuple) and isinstance(b, tuple) and len(a) == len(b) > 0:
         return min(map(_equal, a, b))
-    if _is_number(a) and _is_number(b):
-        return _at_least(ROUNDING, abs(a - b))
-    return truth(a == b)
+    return _at_least(ROUNDING, abs(a - b)) if _is_number(a) and _is_number(b) else truth(a == b)
 
 
 def _is_number(value: object) -> bool:

@@ -212,8 +212,7 @@ def scores_of(grid: Grid) -> NDArray[np.float64]:
         raise ValueError(f"invalid map: it can't be inflated: {error}") from error
     if len(content) != width * height:
         raise ValueError(f"invalid map: {width} x {height} cells with {len(content)} scores")
-    scores: NDArray[np.float64] = np.frombuffer(content, dtype=np.uint8).reshape(height, width) / 255.0
-    return scores
+    return np.frombuffer(content, dtype=np.uint8).reshape(height, width) / 255.0
 
 
 def spots_of(grid: Grid) -> NDArray[np.float64]:

@@ -584,6 +584,4 @@ def _is_statement(text: str) -> bool:
 def _short(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
-    if isinstance(value, tuple | list):
-        return f"[{', '.join(map(_short, value))}]"
-    return phrases.short(str(value))
+    return f"[{', '.join(map(_short, value))}]" if isinstance(value, tuple | list) else phrases.short(str(value))

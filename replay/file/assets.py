@@ -51,8 +51,7 @@ class Assets(Mapping[str, bytes]):
             Damaged: The content is damaged.
             MissingModels: The shared file can't be read.
         """
-        data: bytes = self.attachment(name).data
-        return data
+        return self.attachment(name).data
 
     def attachment(self, name: str) -> Attachment:
         """Return a file with its time and media type. :meth:`__getitem__` describes the errors."""

@@ -67,9 +67,7 @@ def question_of(record: Query) -> QueryCall:
 def _recorded(value: Plain) -> Term:
     if isinstance(value, dict):
         return Name(str(value.get("object", "")))
-    if isinstance(value, list):
-        return [_recorded(item) for item in value]
-    return value
+    return [_recorded(item) for item in value] if isinstance(value, list) else value
 
 
 def parse(text: str) -> QueryCall:
@@ -137,6 +135,4 @@ def unquoted(text: str) -> tuple[str, str]:
 def _text(term: Term) -> str:
     if isinstance(term, Name):
         return written(term.text)
-    if isinstance(term, list):
-        return f"[{', '.join(map(_text, term))}]"
-    return repr(term)
+    return f"[{', '.join(map(_text, term))}]" if isinstance(term, list) else repr(term)

@@ -362,8 +362,7 @@ class DrawnLink:
         """The corners (8, 3) of the link's box in the world, m."""
         ends = np.concatenate([self.drawable.shapes.low, self.drawable.shapes.high])
         turned = ends[(_CORNERS, [0, 1, 2])] @ geometry.to_matrix(self.drawable.orientations[0]).T
-        corners: NDArray[np.float64] = turned + self.drawable.positions[0]
-        return corners
+        return turned + self.drawable.positions[0]
 
 
 @dataclass(frozen=True, slots=True)

@@ -569,8 +569,7 @@ def evidence(true: Truth, failed: Truth) -> NDArray[np.float64]:
     log = counts * np.log(np.maximum(counts, 1))  # n log n
     cells = log[hits] + log[inside - hits] + log[failures - hits] + log[count - inside - failures + hits]
     margins = log[inside] + log[count - inside] + log[failures] + log[count - failures]
-    ratio: NDArray[np.float64] = np.where(hits * count > failures * inside, cells - margins + log[count], 0.0)
-    return ratio
+    return np.where(hits * count > failures * inside, cells - margins + log[count], 0.0)
 
 
 class Chance:

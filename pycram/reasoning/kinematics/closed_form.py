@@ -243,8 +243,7 @@ class ClosedForm:
     def _wrapped(self, postures: Array, joints: slice = slice(None)) -> Array:
         """Return equivalent angles of joints that are as near as possible to the middle of the joints' ranges."""
         middle = (self.lower[joints] + self.upper[joints]) / 2
-        nearest: Array = middle + (postures - middle + np.pi) % (2 * np.pi) - np.pi
-        return nearest
+        return middle + (postures - middle + np.pi) % (2 * np.pi) - np.pi
 
     def _within(self, postures: Array, joints: slice) -> Flags:
         """Return whether positions (n, joints) of some joints are within the limits."""
@@ -279,8 +278,7 @@ def _parallel(a: Array, b: Array) -> bool:
 def turned(axis: Array, angle: Array, vector: Array) -> Array:
     """Return vectors turned about an axis through the origin (Rodrigues' formula)."""
     along, across, beside = _parts(axis, vector)
-    result: Array = along + np.cos(angle) * across + np.sin(angle) * beside
-    return result
+    return along + np.cos(angle) * across + np.sin(angle) * beside
 
 
 def _parts(axis: Array, vector: Array) -> tuple[Array, Array, Array]:
@@ -305,8 +303,7 @@ def _dot(some: Array, others: Array) -> Array:
 def angle_between(axis: Array, start: Array, end: Array) -> Array:
     """Return the angle about an axis from one vector to another, without their parts along the axis: subproblem 1."""
     _, across, beside = _parts(axis, start)
-    result: Array = np.arctan2(_dot(beside, end), _dot(across, end))
-    return result
+    return np.arctan2(_dot(beside, end), _dot(across, end))
 
 
 def two_turns(first: Array, second: Array, start: Array, end: Array) -> tuple[Array, Array, Array]:

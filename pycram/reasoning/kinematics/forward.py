@@ -121,8 +121,7 @@ class Chain:
     def limited(self, postures: Array) -> Array:
         """Return postures (n, joints) within the limits; joints without limits are within half a turn."""
         wrapped = (postures + np.pi) % (2 * np.pi) - np.pi
-        inside: Array = np.where(self.bounded, np.clip(postures, self.lower, self.upper), wrapped)
-        return inside
+        return np.where(self.bounded, np.clip(postures, self.lower, self.upper), wrapped)
 
     def errors(self, postures: Array, goals: Array, turns: Array | None) -> Array:
         """Return the distances (n, 2) of the tool from targets, in m and rad, for postures (n, joints).
@@ -191,8 +190,7 @@ def transforms(parts: Array, values: Array) -> Array:
     np.cos(values, out=factors[..., 1])
     np.sin(values, out=factors[..., 2])
     factors[..., 3:] = values[..., None]
-    made: Array = (factors @ parts.reshape(joints, terms, m * m)).reshape(*values.shape, m, m)
-    return made
+    return (factors @ parts.reshape(joints, terms, m * m)).reshape(*values.shape, m, m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,5 +254,4 @@ class Articulation:
         for index, parent in enumerate(self._parents):
             if parent >= 0:
                 moved[index] = moved[parent] @ moved[index]
-        by_posture: Array = moved.transpose(1, 0, 2, 3)
-        return by_posture
+        return moved.transpose(1, 0, 2, 3)

@@ -249,8 +249,7 @@ class SurfaceSearch(Search):
 
     def _turned_corners(self, turn: Quaternion) -> Array:
         """Return the object's corners (n, 3) in m relative to its origin, after a rotation."""
-        corners: Array = self._corners @ geometry.to_matrix(turn).T
-        return corners
+        return self._corners @ geometry.to_matrix(turn).T
 
     @staticmethod
     def _inside(corners: Array, searched: SearchedSurface) -> Array:
@@ -303,8 +302,7 @@ class SurfaceSearch(Search):
         along: Array = offsets @ (x, y)
         if reference is None:
             return np.where(along > 0.0, 1.0, 0.0)
-        beside: Array = np.where(along > np.abs(offsets @ (-y, x)), maps.near(centers, middle, _NEAR, _FAR), 0.0)
-        return beside
+        return np.where(along > np.abs(offsets @ (-y, x)), maps.near(centers, middle, _NEAR, _FAR), 0.0)
 
     def _reach(self, grid: Grid, robot: Object) -> Array:
         """Return scores of how well the robot reaches each cell; a robot that drives chooses the best place."""

@@ -134,8 +134,7 @@ def promising(robot: Object, goal: Goal, arms: Sequence[Arm], bases: Sequence[Po
         owners = np.repeat(np.arange(len(stages)), [len(stage) for _, stage in stages])
         passed = np.bincount(owners, weights=found, minlength=len(stages)) > 0
         within |= np.bincount([number for number, _ in stages], weights=~passed, minlength=len(bases)) == 0
-    promises: list[bool] = within.tolist()
-    return promises
+    return within.tolist()
 
 
 def description_of(argument: str, robot: object) -> RobotDescription:
@@ -230,9 +229,7 @@ class PutDownGoal:
             return ""
         if refusals.pairs:
             return Touching([refusals.pairs[name] for name in sorted(refusals.pairs)])
-        if refusals.misses:
-            return min(refusals.misses, key=OutOfReach.miss)
-        return NoRoom(refusals.no_room[0].reason)
+        return min(refusals.misses, key=OutOfReach.miss) if refusals.misses else NoRoom(refusals.no_room[0].reason)
 
 
 class PullGoal:

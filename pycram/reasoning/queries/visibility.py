@@ -216,8 +216,7 @@ def _inside(window: Window, frame: Window, size: tuple[int, int]) -> NDArray[np.
     y = window.top + (np.arange(height) + 0.5) / height * (window.bottom - window.top)
     columns: NDArray[np.bool_] = (x >= frame.left) & (x <= frame.right)
     rows: NDArray[np.bool_] = (y >= frame.top) & (y <= frame.bottom)
-    both: NDArray[np.bool_] = rows[:, None] & columns[None, :]
-    return both
+    return rows[:, None] & columns[None, :]
 
 
 def seen_share(robot: Object, body: Object, base: Pose) -> View:
