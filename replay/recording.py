@@ -71,14 +71,13 @@ class Recording(RecordReader):
         from replay.history.tasks import summary  # noqa: PLC0415  slow to import
 
         info = summary(self)
-        worlds = ", ".join(f"{title(each.world, each.lifetime)}: {each.seconds:.3f} s" for each in info.worlds)
         facts = {
             "plan": info.plan,
             "started": f"{info.started:%Y-%m-%d %H:%M:%S} UTC",
             "took": f"{info.seconds:.3f} s",
             "outcome": info.outcome,
             "failure": info.failure,
-            "worlds": worlds,
+            "worlds": ", ".join(f"{title(each.world, each.lifetime)}: {each.seconds:.3f} s" for each in info.worlds),
             "incomplete": info.problems,
         }
         rows = [(name, text) for name, text in facts.items() if text]

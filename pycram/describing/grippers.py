@@ -124,9 +124,8 @@ def suction_cup(tree: JointTree, arm: ArmChain, corners: Corners) -> SuctionGues
     across = np.array([0.0, 0.0, 1.0]) if abs(out[2]) < _STRAIGHT else np.array([0.0, 1.0, 0.0])
     turn = _frame(out, np.cross(across, out))
     assert turn is not None  # noqa: S101  both directions have length 1, and they aren't parallel
-    position = out * (far + _CUP_RIM)
     around = np.linalg.norm(points - along[:, None] * axis, axis=1)
-    return SuctionGuess((tuple(position.tolist()), turn), float(around.max(initial=0.0)))
+    return SuctionGuess((tuple((out * (far + _CUP_RIM)).tolist()), turn), float(around.max(initial=0.0)))
 
 
 def guess_hand(tree: JointTree, arm: ArmChain, corners: Corners) -> HandGuess | str:

@@ -162,11 +162,10 @@ def run_fork(log: Recording, options: argparse.Namespace) -> int:
     from replay.retrace.fork import fork  # noqa: PLC0415  needs the executor
 
     step = log.step(options.at) if options.at is not None else _last_equal(log, options)
-    target = _free_file(log, options.target, "fork")
     forked = fork(
         log,
         step,
-        target,
+        _free_file(log, options.target, "fork"),
         settings=options.set,
         world=options.world,
         answers=options.answer,

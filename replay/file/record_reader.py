@@ -379,9 +379,8 @@ def _check_start(path: Path, file: BinaryIO) -> None:
     start = file.read(len(MAGIC))
     if len(start) < len(MAGIC) and MAGIC.startswith(start):
         raise Unreadable(path, "is cut off within its first bytes" if start else "is empty")
-    matching = sum(a == b for a, b in zip(start, MAGIC, strict=False))
     file.seek(-min(len(start), len(MAGIC)), os.SEEK_END)
-    if matching < _MIN_MAGIC and file.read() != MAGIC:
+    if sum(a == b for a, b in zip(start, MAGIC, strict=False)) < _MIN_MAGIC and file.read() != MAGIC:
         raise NotALog(path, "isn't an MCAP file")
 
 

@@ -351,7 +351,6 @@ class _Rows:
         outcome = "succeeded" if succeeded else "cut off" if end is None else "interrupted" if interrupted else "failed"
         broken = root_cause(log) if outcome in ("failed", "cut off") or uncaught_failure(log) is not None else None
         failure, path, step = self._root(broken)
-        cause = cause_of(failure, path) if failure is not None else "" if succeeded else outcome
         self._append(
             "runs",
             last,
@@ -364,7 +363,7 @@ class _Rows:
             environment=start.environment,
             outcome=outcome,
             succeeded=None if outcome == "interrupted" else succeeded,
-            cause=cause,
+            cause=cause_of(failure, path) if failure is not None else "" if succeeded else outcome,
             failure=failure.type if failure is not None else "",
             message=failure.message if failure is not None else "",
             cause_path=path,

@@ -276,9 +276,8 @@ class CollisionChecker:
         if touches is None:
             mover, link, body, other = pair
             if self._single_links:
-                own = body.name in self._own
                 a = self._single(candidate, mover, link)
-                b = self._single(candidate, body, other) if own else self._copy(body, other)
+                b = self._single(candidate, body, other) if body.name in self._own else self._copy(body, other)
             else:
                 self._place(candidate)
                 a, b = self._copy(mover, link), self._copy(body, other)

@@ -394,8 +394,7 @@ class _Search:
             self._clone.engine.set_pose(part, pose)
             depths: dict[str, float] = {}  # a pair of links may touch with several shapes
             for touch in self._checker.closest_points(candidate, part):
-                gripped = link == self._handle.link and touch.link_a in self._hand
-                if touch.distance <= -DEPTH and not gripped:
+                if touch.distance <= -DEPTH and not (link == self._handle.link and touch.link_a in self._hand):
                     depths[touch.link_a] = max(depths.get(touch.link_a, 0.0), -touch.distance)
             pairs += [CollisionPair(robot, own, body, link, depth) for own, depth in depths.items()]
         pairs.sort(key=lambda pair: -pair.depth)
