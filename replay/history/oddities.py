@@ -161,7 +161,7 @@ def _iterators(source: _Source) -> Found:
             if sum(id(each) not in taken for each in loads) > 1:
                 yield made, f"{name} is used up after its first use"
     for call in _calls(source.module, "any", "all"):
-        if isinstance(call.args[0], ast.GeneratorExp) and source.calls(call.args[0], "perform"):
+        if call.args and isinstance(call.args[0], ast.GeneratorExp) and source.calls(call.args[0], "perform"):
             yield call, f"{called_name(call)}() leaves the others out once it knows the answer"
 
 

@@ -36,7 +36,7 @@ CASES = [
     ("for a in groupby(b, key=c):\n    f(a)", "for a in groupby(sorted(b, key=c), key=c):\n    f(a)", 1, "only neighbours"),
     ("f(atan2(dx, dy))", "f(atan2(dy, dx))", 1, "takes y first"),
     ("def f(a):\n    return (x for x in a)\nb = f(1)\nif 1 in b:\n    g(b)", "def f(a):\n    return [x for x in a]\nb = f(1)\nif 1 in b:\n    g(b)", 2, "b is used up"),
-    ("def f(a):\n    return perform(a)\ng(all(f(x) for x in a))", "def f(a):\n    return perform(a)\ng(all([f(x) for x in a]))", 3, "leaves the others out"),
+    ("def f(a):\n    return perform(a)\ng(all(f(x) for x in a))", "def f(a):\n    return perform(a)\ng(all([f(x) for x in a]), b.any())", 3, "leaves the others out"),
     ("@cache\ndef f(a):\n    return a.get_position()\ng(f(1))", "@cache\ndef f(a):\n    return a.get_AABB()\ng(f(1))", 1, "keeps its first answer"),
     ("class A:\n    def f(self):\n        self.b = 0\n        b = 1\n        g(self.b)\nh(A().f())", "class A:\n    def f(self):\n        self.b = 0\n        b = 1\n        g(self.b, b)\nh(A().f())", 4, "not self.b"),
     ("with par:\n    perform(a)\n    b = c.get_position()\nf(b)", "with par:\n    perform(a)\nb = c.get_position()\nf(b)", 3, "before the motions"),
