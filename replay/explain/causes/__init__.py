@@ -12,20 +12,20 @@ from replay.explain.causes.lacked import ClosedContainer, RefusedRequest, Swallo
 from replay.explain.causes.out_of_reach import TOO_FAR, NoCandidate, ObstructingBody, UnreachedTarget
 from replay.explain.causes.physics import Physics
 from replay.explain.causes.raised import Raised, Written
-from replay.explain.causes.waiting import Interruption, Timeout
+from replay.explain.causes.waiting import EndedWait, Interruption, Timeout
 
 if TYPE_CHECKING:
     from replay.explain.causes.case import Cause, FailureCase
 
 #: All kinds. Causes of earlier kinds are shown first.
 KINDS: Final[tuple[type[Cause], ...]] = (
-    *(ForkedChange, OtherWorld, ClosedContainer, NoGravity, Swallowed, RefusedRequest, Written, Physics),
+    *(ForkedChange, OtherWorld, ClosedContainer, NoGravity, Swallowed, RefusedRequest, EndedWait, Written, Physics),
     *(NoLonger, Misbelief, Timeout, Gone, Raised, HandState),
     *(ObstructingBody, UnreachedTarget, NoCandidate),
 )
 _DECIDING: Final = (
     *("other-world", "closed", "gravity", "swallowed-failure", "refused"),
-    *("physics", "no-longer-true", "removed", "timeout", "written"),
+    *("physics", "no-longer-true", "removed", "timeout", "written", "ended-wait"),
 )
 _BEHIND: Final = 0.2  # distance behind the robot's base, m
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from recorder.records import Query, argument_values
@@ -119,6 +119,7 @@ class UnreachedTarget(Cause):
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials with the robot nearer to the target, and without the last changes."""
         yield from trials.nearer(case, [float(str(each)) for each in case.data["target"]], self.miss or 0.0)  # type: ignore[union-attr]
+        yield from _brought(case, self.body)
         for change in reversed(self.changes):
             yield from trials.put_back(case, change) if change.how != "load" else ()
 
@@ -175,11 +176,20 @@ class NoCandidate(Cause):
             yield from trials.given_back(case)
         if isinstance(goal, list) and known:
             yield from trials.nearer(case, [float(str(each)) for each in goal], min(known))
+        yield from _brought(case, case.subjects[0]) if case.motion is not None and case.motion.name == "pick-up" else ()
 
     def _words(self) -> Iterator[str]:
         rejected = "its only candidate" if self.count == 1 else f"all {self.count} candidates"
         yield f"{phrases.question(self.asked)} rejected {rejected} at step {self.asked.seq}:"
         yield from rejection_lines(self.asked)
+
+
+def _brought(case: FailureCase, body: str) -> Iterator[Trial]:
+    """Yield the trials in which a body is where the plan wants it, near the robot."""
+    robot = case.robot if case.free_body(body) is not None else None
+    for place in trials.wanted(case, body, before=False) if robot is not None else ():
+        if robot is not None and math.dist(place[0][:2], robot.position[:2]) < TOO_FAR:
+            yield replace(trials.arranged(case, {body: place}), succeeds=True, partial=True)
 
 
 def _obstacle(case: FailureCase, body: str, link: str, mover: str) -> ObstructingBody:

@@ -200,7 +200,9 @@ _READS: Final = {"get_position": _AXES, "get_pose": _AXES, "get_orientation": ("
 _WROTE: Final = 0.05  # a simulation that changes a compared value by less (m, rad) didn't write it
 _IN_SPACE: Final = ("", "turn", *_AXES)  # the parts that aren't joints
 _TURNS: Final = (math.pi / 2, -math.pi / 2, math.pi)  # angles by which trials turn a body, rad
-_ASIDE: Final = (1.0, -1.0)  # by so much trials change a coordinate, m
+_BEYOND: Final = 0.1  # distance in m behind a compared bound at which trials place a body
+_NO_LINE: Final = Line("", 0)
+_FAR: Final = 1.0  # distance in m by which trials move a body if its check has no bounds
 _DEPTH: Final = 3  # definitions of names that are followed
 _MUTATIONS: Final = 200  # maximum number of changes in which moves of other objects are searched
 #: An expression of a check, the wanted part of its value, the number of definitions to follow, and the assignments.
@@ -252,18 +254,22 @@ class Written(Cause):
             yield from (replace(each, compares=True) for each in self._moved(case, case.world))
 
     def _moved(self, case: FailureCase, world: World) -> Iterator[Trial]:
-        body, named = world.bodies[self.body], [each for each, part in compared(case) if part == self.part]
-        together = dict.fromkeys([self.body, *(each for each in named if {self.body, each} <= {*case.mentioned})])
+        body, reads = world.bodies[self.body], [names for names, part in _compared(case) if part == self.part]
+        read = next((names for names in reads if self.body in names), [])  # perhaps several, which fail together
+        together = dict.fromkeys([self.body, *(each for each in read if each in case.mentioned)])
         if self.part in ("", *_AXES):
             places = {each: trials.wanted(case, each) for each in together}
             for number in range(len(places[self.body])):
                 yield trials.arranged(case, {each: at[number] for each, at in places.items() if number < len(at)})
         carried = self.change.task is not None and self.change.task.kind == "motion" and self.part in _IN_SPACE
         yield from trials.put_back(case, self.change) if self.change.how != "load" and not carried else ()
-        for aside in _ASIDE if self.part in _AXES else ():
-            moved = [aside * (axis == self.part) for axis in _AXES]
-            poses = {each: tuple(map(operator.add, world.bodies[each].position, moved)) for each in together}
-            yield trials.arranged(case, {each: (at, "") for each, at in poses.items()})
+        if self.part in _AXES:
+            axis = _AXES.index(self.part)
+            for goal in _goals(case, body.position[axis], axis):
+                poses = {each: [*world.bodies[each].position] for each in together}
+                for at in poses.values():
+                    at[axis] = goal
+                yield trials.arranged(case, {each: (at, "") for each, at in poses.items()})
         for angle in _TURNS if self.part in ("", "turn") else ():
             turning = (0.0, 0.0, 0.0), geometry.from_rpy(0.0, 0.0, angle)
             pose = (*body.position, *geometry.multiply(turning, body.pose)[1])
@@ -279,6 +285,22 @@ class Written(Cause):
         yield f"{what} step {self.change.step}: {self.change}"
         for each in self.others:
             yield f"{each.row}; {self.body} was not"
+
+
+def _goals(case: FailureCase, now: float, axis: int) -> Iterator[float]:
+    """Yield values of a coordinate that may pass the failed check, such as compared values, or beyond bounds."""
+    values, line = _variables(case), next((each for error in case.traced[-1:] for each in error.lines[-1:]), _NO_LINE)
+    points = [each for name in values if isinstance(each := _value(ast.Name(name), values), list | tuple)]
+    goals, bounds = [each[axis] for each in points if len(each) == len(_AXES)], list[float]()
+    for node in syntax_nodes(case.source.text(line.file)):
+        if isinstance(node, ast.BinOp | ast.Compare) and node.lineno <= line.number <= (node.end_lineno or 0):
+            right = node.comparators if isinstance(node, ast.Compare) else [node.right]
+            known = [each for one in (node.left, *right) if isinstance(each := _value(one, values), float)]
+            goals += known if isinstance(node, ast.BinOp) else ()
+            bounds += [each + math.copysign(_BEYOND, each - now) for each in known if isinstance(node, ast.Compare)]
+    for goal in (*goals, *(sorted(bounds, key=lambda each: abs(each - now)) or (now - _FAR, now + _FAR))):
+        if isinstance(goal, float) and abs(goal - now) > _WROTE:
+            yield goal
 
 
 def _writer(case: FailureCase, name: str, part: str) -> Blame | None:
@@ -321,13 +343,18 @@ def _others(case: FailureCase, since: int) -> Iterator[CausingChange]:
 
 def compared(case: FailureCase) -> Iterator[tuple[str, str]]:
     """Yield the bodies and parts of poses that a property or a check of the plan compares."""
+    return ((name, part) for names, part in _compared(case) for name in names)
+
+
+def _compared(case: FailureCase) -> Iterator[tuple[list[str], str]]:
+    """Yield the bodies that each expression of a property or check reads, and the part of their poses."""
     bodies = case.world.bodies if case.world is not None else {}
     if case.failure.type == "PropertyViolated":
         for name in bodies:
             for each in re.finditer(rf"(?<![\w.]){re.escape(name)}(?:\.(\w+))?(?!\w)", str(case.data.get("property"))):
                 part = each[1] if each[1] in (*_AXES, *bodies[name].joints) else ""
                 if part or case.free_body(name) is not None:
-                    yield name, part
+                    yield [name], part
         return
     error = next(reversed(case.traced), None)
     if error is None or not error.own or not error.lines or case.motion is not None:
@@ -347,7 +374,7 @@ def compared(case: FailureCase) -> Iterator[tuple[str, str]]:
         joints = [name for name in named if name in bodies and part in bodies[name].joints]
         named = joints or [name for name in named if name == robot or case.free_body(name) is not None]
         if part or len(named) == 1:
-            yield from ((name, part) for name in named)
+            yield named, part
 
 
 def _variables(case: FailureCase) -> dict[str, str]:
@@ -427,16 +454,18 @@ def _holds(test: ast.expr, values: Mapping[str, str]) -> bool:
 def _value(node: ast.expr, values: Mapping[str, str]) -> object:
     """Return the value of an expression at the failure: a number, or a container of numbers; None if unknown."""
     match node:
-        case ast.Constant(value=int() | float() | str() as given):
+        case ast.Constant(value=int() | float() | str()) | ast.UnaryOp(op=ast.USub(), operand=ast.Constant()):
+            given = ast.literal_eval(node)
             return given if isinstance(given, str) else float(given)
         case ast.Name(id=name) if name in values:
             with suppress(ValueError, SyntaxError):
                 value = ast.literal_eval(values[name])
                 return float(value) if isinstance(value, int) else value
-        case ast.Subscript(value=owner, slice=ast.Constant(value=int() as index)):
-            items = _value(owner, values)
-            if isinstance(items, list | tuple) and index < len(items):
-                return items[index]
+        case ast.Subscript(value=owner, slice=given):
+            items, index = _value(owner, values), _value(given, values)
+            with suppress(LookupError, TypeError):
+                found = items[int(index) if isinstance(index, float) else index]  # type: ignore[index]
+                return float(found) if isinstance(found, int) else found
         case ast.BinOp(left=left, op=sum_, right=right) if type(sum_) in _SUMS:
             one, other = _value(left, values), _value(right, values)
             if isinstance(one, float) and isinstance(other, float):

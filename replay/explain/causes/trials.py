@@ -37,12 +37,13 @@ _FAR: Final = 30.0  # distance in m to which an obstacle is moved away
 _BEFORE: Final = 0.65  # distance in m between robot and target at which arms work well
 _ROOM: Final = 0.1  # distance in m by which the robot moves nearer, plus the distance that the arm lacked
 _NEAR: Final = 0.05  # nearer positions are the same, m
+_SEARCHED: Final = 2_000  # number of tasks before the failure that are searched
 _MOVES: Final = 20  # number of changes of a body that are searched
 _MOVING: Final = ("attach_body", "move_body", "reset")
 _LONGER: Final = 10.0  # factor for the limits of waits
 OPEN: Final = 0.01  # doors and drawers with a larger joint position aren't closed, rad or m
 NONE: Final = "none"
-_FLUENT: Final = "fluent:"
+FLUENT: Final = "fluent:"
 COMPARED: Final = re.compile(r"(.+) (==|>=?|<=?) (.+)")
 JOINT: Final = re.compile(r"joint of (\S+) of (.+)")  # the name of a fluent that follows a joint
 _BEYOND: Final = 0.01  # difference between the new number and the bound: this amount, or this share of the bound
@@ -154,11 +155,13 @@ def arranged(case: FailureCase, places: Mapping[str, Place], step: int | None = 
 
 
 def wanted(case: FailureCase, name: str, *, before: bool = True) -> list[Place]:
-    """Return the positions that tables of the plan name for a body, then its earlier positions."""
+    """Return the positions that requests and tables of the plan name for a body, then its earlier positions."""
     found: list[Place] = []
     if case.world is not None:
         body, earlier = case.world.bodies[name], [*_earlier(case, name)]
-        named = [each for each in _tabled(case, body) if each[0][-1]]  # the floor is for robots
+        named = [
+            each for each in (*_requested(case, body), *_tabled(case, body)) if each[0][-1]
+        ]  # the floor is for robots
         for number, (at, origin) in enumerate(named + earlier * before):
             place = (*at, *body.position[len(at) :])  # perhaps without a height
             start = earlier[-1:] if number < len(named) else ()  # tables also name the place at the start
@@ -166,6 +169,16 @@ def wanted(case: FailureCase, name: str, *, before: bool = True) -> list[Place]:
             if all(math.dist(place[:2], each[:2]) > _NEAR or abs(place[2] - each[2]) > 2 * _NEAR for each in known):
                 found.append((place, origin))
     return found
+
+
+def _requested(case: FailureCase, body: Body) -> Iterator[Place]:
+    """Yield the targets of earlier motions and actions with a body, the latest first."""
+    for task in islice(case.log.backwards(case.step, Task), _SEARCHED):
+        if task.phase == Task.STARTED and task.kind in ("motion", "action"):
+            given = argument_values(task.parameters)
+            target, about = given.get("target"), (given.get("object"), *objects_in([given.get("object")]))
+            if (body.name in about or body.type in about) and isinstance(target, list) and len(target) == 3:
+                yield tuple(float(str(each)) for each in target), f"the target of {task.name} at step {task.seq}"
 
 
 def _tabled(case: FailureCase, body: Body) -> list[Place]:
@@ -212,6 +225,8 @@ def _far_away(world: World, body: str) -> dict[str, object]:
 def freed(case: FailureCase, body: str) -> Iterator[Trial]:
     """Yield the trial in which a body is released. A body that the motion doesn't need is moved far away."""
     if body in case.subjects:
+        for place in islice(_earlier(case, body), 1):  # beside the hand, the body would hang in the air
+            yield replace(arranged(case, {body: place}), succeeds=True)
         yield _set(case, None, f"nothing holds {body}", {f"{written(body)}.hand": NONE})
     else:
         yield from away(case, body)
@@ -324,7 +339,7 @@ def fulfilled(started: Task, values: Mapping[str, object]) -> Iterator[Trial]:
     if compared and isinstance(wanted, int | float) and compared[2] != "==":
         wanted += (1 if compared[2].startswith(">") else -1) * max(_BEYOND, _BEYOND * abs(wanted))
     joint = JOINT.fullmatch(leaf)
-    target = f"{written(joint[2])}.{joint[1]}" if joint else f"{_FLUENT}{leaf}"
+    target = f"{written(joint[2])}.{joint[1]}" if joint else f"{FLUENT}{leaf}"
     setting = f"{target}={json.dumps(wanted)}"
     yield Trial(started.seq, f"{started.name} holds", (setting,), world=started.world if joint else "")
 

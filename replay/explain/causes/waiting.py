@@ -8,21 +8,19 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import groupby
-from typing import TYPE_CHECKING, Final
+from itertools import groupby, islice
+from typing import Final
 
 from recorder.plan_lines import called_name, last_name, syntax_nodes
-from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, from_json
+from recorder.records import STEPS_PER_SECOND, Fluent, Mutation, Plain, Refusal, Run, Task, argument_values, from_json
 from recorder.tasks import Node, State, Tree
 from replay.explain.causes import trials
 from replay.explain.causes.case import Cause, CausingChange, FailureCase, objects_in
 from replay.explain.causes.raised import answers
+from replay.explain.causes.trials import Trial
 from replay.history.source import Line
 from replay.history.tasks import INTERRUPT
 from replay.report import phrases
-
-if TYPE_CHECKING:
-    from replay.explain.causes.trials import Trial
 
 _NO_LEAF: Final = "timeout"  # the only parameter of a wait that isn't the name of a fluent
 _MAX_CHANGES: Final = 5
@@ -210,6 +208,34 @@ class Timeout(Cause):
             for error, tasks in groupby((task for task in self.took if task.failed), phrases.error):
                 yield f"{phrases.names([phrases.node(task) for task in tasks])} failed: {error}"
         yield from map(str, self.simulated)
+
+
+@dataclass(frozen=True, slots=True)
+class EndedWait(Cause):
+    """A wait ended immediately, because its fluent was False, which is a value."""
+
+    kind = "ended-wait"
+    fluent: str
+    line: Line | None  # the plan's line that waited
+
+    @classmethod
+    def find(cls, case: FailureCase) -> Iterator[EndedWait]:
+        """Yield the last wait that ended in this way."""
+        for task in islice(case.log.backwards(case.step, Task), _MAX_TASKS):
+            began = (task.kind, task.phase) == ("wait", Task.STARTED)
+            if began and argument_values(task.parameters).get(task.name) is False:
+                yield EndedWait(case.steps(task.seq), task.name, case.line_of(task))
+                return
+
+    def trials(self, case: FailureCase) -> Iterator[Trial]:
+        """Yield the trial in which the fluent has no value, so that the wait lasts until a value is set."""
+        earlier = next(case.log.backwards(self.steps[0] - 1, (Task, Mutation, Fluent)), None)  # before the warning
+        if earlier is not None and not _FOLLOWS.match(self.fluent):
+            yield Trial(earlier.seq, f"{self.fluent} has no value", (f"{trials.FLUENT}{self.fluent}=null",))
+
+    def _words(self) -> Iterator[str]:
+        wait = f"the wait for {self.fluent} ended immediately at step {self.steps[0]}{phrases.at(self.line)}"
+        yield f"{wait}: the fluent was False, which is a value"
 
 
 @dataclass(frozen=True, slots=True)

@@ -105,6 +105,23 @@ assert 0.9 < x < 1.1, "it is somewhere else"
         + 'perform(type="looking", object=spoon)\nperform(type="detecting", object_type="spoon")\n',
         ("in-the-way", "confirmed"),
     ),
+    "the wait ended immediately": (
+        """\
+done = Fluent(False, "done")
+milk = Object("milk", "milk", "milk.stl", [0, 0, 0.1])
+def work():
+    world.simulate(0.1)
+    milk.set_position([2, 0, 0.1])
+    done.set_value(True)
+def check():
+    done.wait_for()
+    assert milk.get_position()[0] > 1
+with par as both:
+    both(work)
+    both(check)
+""",
+        ("ended-wait", "confirmed"),
+    ),
     "there is no support": (
         TABLE
         + 'perform(type="pick-up", object=milk, arm="left")\nrobot.set_position([0.5, 0.9, 0])\n'
