@@ -29,7 +29,7 @@ _MAX_BEFORE: Final = 2  # maximum number of statements before a call that are li
 _TAKING: Final = ("pop", "popitem", "popleft", "setdefault")  # methods that change a container and also return an item
 #: Ranks of facts by their kind, which add to those of their lines: see :mod:`replay.history.line_forms`.
 _KINDS: Final = {"call": -1.6, "value": 1.2, "returned": -1.0, "condition": -1.0}
-_WRITTEN: Final = -1.2  # for calls with texts, and once more for calls with numbers
+_WRITTEN: Final = -2.4  # for calls with numbers; half of it for calls with texts alone
 _ITERATOR: Final = -0.9
 _ITERATORS: Final = ("'<generator", "<zip", "<map", "<filter")
 _SCOPES: Final = (ast.FunctionDef, ast.AsyncFunctionDef, ast.Lambda, ast.ClassDef)
@@ -118,12 +118,12 @@ class Tracer:
         text = self._notes.texts[file][line - 1].strip() if line else ""
         self._count += 1
         words, number = ("", None) if value is None else (shown(value.copy), _numbers_in(value.copy))
+        constants = [each for each in _own_nodes(node) if isinstance(each, ast.Constant | ast.operator)]
+        numbers = any(not isinstance(getattr(each, "value", 0), str | None) for each in constants)
+        own = (bool(constants) + numbers) / 2
         rank = self._notes.ranks[file].get(line, 0.0) + _KINDS.get(kind, 0.0) + _ITERATOR * words.startswith(_ITERATORS)
-        if kind == "call":
-            own = [each for each in _own_nodes(node) if isinstance(each, ast.Constant | ast.operator)]
-            numbers = any(not isinstance(getattr(each, "value", 0), str | None) for each in own)
-            rank += _WRITTEN * (bool(own) + numbers)
-        return Origin(kind, name, words, number, file, line, text, step, rank, body, remark, tuple(parts))
+        rank += _WRITTEN * own * (kind == "call")
+        return Origin(kind, name, words, number, file, line, text, step, own, rank, body, remark, tuple(parts))
 
     # --- where a run was ------------------------------------------------------------------------------------------
 

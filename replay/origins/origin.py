@@ -39,6 +39,7 @@ class Origin:
     line: int
     text: str  # text of the line that made the value
     step: int  # the last recorded step before it; -1 if unknown
+    own: float  # how much of its own the line has: 1 for numbers, 0.5 for texts, 0 if it only passes values on
     rank: float  # how improbable it is that its line has the mistake
     body: str  # name of the object that was read
     remark: str  # what is unusual about the value, in words
