@@ -187,6 +187,7 @@ class Editor:
                 yield self._moved(statement, block[to], cost, f"line {block[to].lineno}", after=to > at)
         between = block[at + 1 : uses[0]] if uses else []
         stays = getattr(statement, "value", None) in plan.scene or any(map(self._is_check, between))
+        stays |= len(uses) > 1 and isinstance(block[uses[0]], ast.For | ast.While)  # the loop collects for later
         inner = block[uses[0]] if uses and not stays else None
         while inner is not None and isinstance(inner, ast.For | ast.While | ast.With):
             moved = self._moved(statement, inner.body[0], 0.4, "")

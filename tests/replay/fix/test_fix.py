@@ -461,6 +461,13 @@ def test_equal_expressions_change_together_before_one_of_them() -> None:
     assert turned == {"y = [q - p, r - s]\n": True, "y = [q - p, s - r]\n": True}
 
 
+def test_what_a_loop_collects_for_later_is_not_made_anew_in_each_iteration() -> None:
+    text = "found = []\nfor each in a:\n    go(found, each)\n"
+    moved = text.replace("found = []\n", "").replace("    go", "    found = []\n    go")
+    assert moved in {each.text for each in Editor(text).edits(1)}
+    assert moved + "go(found, 0)\n" not in {each.text for each in Editor(text + "go(found, 0)\n").edits(1)}
+
+
 def test_unlikely_edits_are_left_out_or_come_late() -> None:
     editor = Editor(
         'kitchen = Object("kitchen", "environment", "k.urdf")\ncup = Object("cup", "cup", "c.stl")\n'
