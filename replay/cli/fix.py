@@ -91,13 +91,19 @@ def _data(trials: Trials, found: SearchResult) -> dict[str, object]:
     names = ("seeds", "elsewhere", "mark")
     repairs = [
         {"line": each.edit.line, "edit": each.edit.what, "diff": "\n".join(difference(trials, each.edit.text))}
-        | {"recording": str(each.recording), **{name: getattr(each, name) for name in names}}
+        | {
+            "evidence": each.edit.evidence(trials.text),
+            "recording": str(each.recording),
+            **{name: getattr(each, name) for name in names},
+        }
         for each in found.repairs
     ]
     return {"asked": found.asked, "repairs": repairs, "tried": found.tried, "runs": found.runs, "others": found.others}
 
 
 def _lines(log: Recording, trials: Trials, chance: LastChance, found: SearchResult) -> Iterator[str]:
+    from replay.fix.search import ONLY_RUNS  # noqa: PLC0415  needs the executor
+
     if chance.choice:
         yield f"the plan also succeeds with another choice, {chance.choice}:"
         recorded = "" if _is_as_recorded(trials) else " --recorded-source"
@@ -118,7 +124,9 @@ def _lines(log: Recording, trials: Trials, chance: LastChance, found: SearchResu
         return
     for number, each in enumerate(found.repairs):
         yield from ([""] if number else [])
-        yield f"possible repair: {each.edit.what} ({each.mark})" if each.mark else f"repair: {each.edit.what}"
+        evidence = "" if each.mark else each.edit.evidence(trials.text)
+        words = each.mark or evidence or ONLY_RUNS
+        yield f"{'possible ' * (not evidence)}repair: {each.edit.what} ({words})"
         yield from difference(trials, each.edit.text)
         yield f"  its run: {each.recording}"
         seeds, places = each.checks

@@ -17,6 +17,7 @@ from typing import Final
 from recorder.plan_lines import called_name, stored
 from replay.fix.operators import FAR, changes, forgotten_call, similar_name
 from replay.fix.plan_syntax import READING, Change, PlanSyntax, asserts, loads
+from replay.history.oddities import is_strong, oddities
 
 _STALE: Final = 0.6  # by how much an edit of a line with stale values is likelier
 _ODD: Final = 0.15  # additional cost of a change of only one of several equal parts
@@ -45,6 +46,13 @@ class Edit:
     asks: bool = False  # whether a value or name changes, rather than the way in which values are computed
     chance: bool = False  # whether only the success of the run supports it
     kind: str = ""  # name of the operator that made it
+
+    def evidence(self, before: str) -> str:
+        """Return what supports the edit of a source besides the success of its runs; "" for nothing."""
+        slip = oddities(before).get(self.line, "")
+        if is_strong(slip):
+            return f"that line: {slip}"
+        return "other numbers of the plan suggest it" if self.kind == "_number" and not self.asks else ""
 
 
 class Editor:

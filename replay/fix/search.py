@@ -49,6 +49,7 @@ _ANOTHER: Final = 0.8  # additional cost for each earlier edit of the same kind 
 _MAX_MARKED: Final = 2  # maximum number of marked repairs that are shown
 _MORE: Final = 24  # number of runs in which another repair is searched after a marked repair
 _SETTLED: Final = 0.001  # distance in m within which objects come to rest when they settle again
+ONLY_RUNS: Final = "evidence: its successful runs alone"
 _GOALS: Final = ("place", "transporting", "placing")
 
 
@@ -256,7 +257,7 @@ def _mark(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> str:
         mark = mark or (changed_place(trials.log, log) if edit.asks else "")
     if left and not mark:
         mark = f"it leaves {phrases.names(left)} alone"
-    return mark or ("perhaps by chance: the only evidence is the success of the run" if edit.chance else "")
+    return mark or (ONLY_RUNS if edit.chance else "")
 
 
 def changed_place(before: RecordReader, log: RecordReader) -> str:

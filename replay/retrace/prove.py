@@ -197,7 +197,7 @@ class Prover:
         else:
             name, failure = "the plan", None if end is None else end.failure
             same = plan_end == self._end
-            later = end is not None and end.seq - added > self._steps - 1
+            later = self._task is None and end is not None and end.seq - added > self._steps - 1
         if failure is None and finished is not None:
             after = "and the plan succeeds" if end is None else f"later the plan fails: {phrases.failure(end.failure)}"
             return CONFIRMED, f"{name} succeeds, {after}"

@@ -62,9 +62,10 @@ class ObstructingBody(Cause):
     def trials(self, case: FailureCase) -> Iterator[Trial]:
         """Yield the trials in which the body isn't in the way, or the drawer with the hidden object is open."""
         if self.change is not None and self.change.how != "load":
-            yield from trials.put_back(case, self.change)
+            back = trials.put_back(case, self.change)
+            yield from (replace(each, partial=bool(self.change.joint)) for each in back)
         yield from trials.away(case, self.body)
-        for joint in case.joints_to(self.body, self.link)[:1] if self.change is None else ():
+        for joint in case.joints_to(self.body, self.link)[:1]:
             yield from trials.opened(case, self.body, joint)
         owner = None if case.world is None or self.mover else case.world.bodies[self.body]
         for joint in owner.joints if owner is not None and owner.fixed_base else ():

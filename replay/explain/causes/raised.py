@@ -263,7 +263,8 @@ class Written(Cause):
                 yield trials.arranged(case, {each: at[number] for each, at in places.items() if number < len(at)})
         carried = self.change.task is not None and self.change.task.kind == "motion" and self.part in _IN_SPACE
         yield from trials.put_back(case, self.change) if self.change.how != "load" and not carried else ()
-        if self.part in _AXES:
+        is_given = self.change.how == "load" and len({name for name, _ in compared(case)}) > 1  # others were moved
+        if self.part in _AXES and not is_given:
             axis = _AXES.index(self.part)
             for goal in _goals(case, body.position[axis], axis):
                 poses = {each: [*world.bodies[each].position] for each in together}

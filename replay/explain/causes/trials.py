@@ -247,11 +247,14 @@ def joint_at(case: FailureCase, body: str, joint: str, value: float, step: int |
 
 
 def opened(case: FailureCase, body: str, joint: str, step: int | None = None) -> Iterator[Trial]:
-    """Yield the trial with an open joint closed; or the trials with a closed joint open, and half-way open."""
+    """Yield the trials with an open joint closed or wide open, or with a closed joint open and half-way open.
+
+    These trials refute nothing, because the body may be in the way there, too.
+    """
     is_open = case.world is not None and abs(case.world.bodies[body].joints[joint]) > OPEN
-    for end in [0.0] if is_open else ends(case, body, joint)[:1]:
-        for value in (end, end / 2)[: 2 - is_open]:
-            yield from joint_at(case, body, joint, value, step)
+    wide = [end for end in ends(case, body, joint) if abs(end) > OPEN][:1]
+    for value in (0.0, *wide) if is_open else (each for end in wide for each in (end, end / 2)):
+        yield from (replace(each, partial=True) for each in joint_at(case, body, joint, value, step))
 
 
 def ends(case: FailureCase, body: str, joint: str) -> list[float]:
