@@ -49,8 +49,9 @@ class Edit:
 
     def evidence(self, before: str) -> str:
         """Return what supports the edit of a source besides the success of its runs; "" for nothing."""
-        slip = oddities(before).get(self.line, "")
-        if is_strong(slip):
+        slip, lines = oddities(before).get(self.line, ""), self.text.splitlines()
+        is_inserted = len(lines) > before.count("\n") and before.splitlines()[self.line - 1] in lines
+        if is_strong(slip) and not is_inserted:
             return f"that line: {slip}"
         return "other numbers of the plan suggest it" if self.kind == "_number" and not self.asks else ""
 

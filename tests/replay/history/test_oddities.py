@@ -35,6 +35,7 @@ CASES = [
     ("a = b.rstrip('_cup')\nf(a)", "a = b.removesuffix('_cup').rstrip('0')\nf(a)", 1, "not the text '_cup'"),
     ("for a in groupby(b, key=c):\n    f(a)", "for a in groupby(sorted(b, key=c), key=c):\n    f(a)", 1, "only neighbours"),
     ("f(atan2(dx, dy))", "f(atan2(dy, dx))", 1, "takes y first"),
+    ("f(atan2(a[0] - b[0], a[1] - b[1]))", "f(atan2(a[1] - b[1], a[0] - b[0]))", 1, "takes y first"),
     ("def f(a):\n    return (x for x in a)\nb = f(1)\nif 1 in b:\n    g(b)", "def f(a):\n    return [x for x in a]\nb = f(1)\nif 1 in b:\n    g(b)", 2, "b is used up"),
     ("def f(a):\n    return perform(a)\ng(all(f(x) for x in a))", "def f(a):\n    return perform(a)\ng(all([f(x) for x in a]), b.any())", 3, "leaves the others out"),
     ("@cache\ndef f(a):\n    return a.get_position()\ng(f(1))", "@cache\ndef f(a):\n    return a.get_AABB()\ng(f(1))", 1, "keeps its first answer"),
