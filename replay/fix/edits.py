@@ -96,12 +96,9 @@ class Editor:
         """Yield the likeliest edits of the whole plan that change how values are computed, not the values."""
         for node in self.plan.nodes:
             moves = self._moves(node) if isinstance(node, ast.stmt) and node not in self.plan.goals else ()
-            likely = (
-                each
-                for each in (*self.changes[node], *moves)
-                if each.cost <= _STRUCTURAL and not each.asks and not each.chance
-            )
-            yield from (self._edit(each, node.lineno) for each in likely)  # type: ignore[attr-defined]
+            for each in (*self.changes[node], *moves):
+                if each.cost <= _STRUCTURAL and not each.asks and not each.chance:
+                    yield self._edit(each, node.lineno)  # type: ignore[attr-defined]
 
     def _changes(self) -> dict[ast.AST, list[Change]]:
         """Return the changes of nodes; equal expressions change together, and a change of only one of them is odd."""

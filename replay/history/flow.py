@@ -82,16 +82,13 @@ class Flow:
             rank, line = heappop(waiting)
             if line in ranks:
                 continue
-            found = next(
-                (each for each in reversed(self._statements) if each[0].lineno <= line <= (each[0].end_lineno or 0)),
-                None,
-            )
+            inner = reversed(self._statements)
+            found = next((each for each in inner if each[0].lineno <= line <= (each[0].end_lineno or 0)), None)
             if found is None or (_is_idle(found[0]) and line not in starts):
                 continue
-            computes = any(
-                isinstance(node, ast.BinOp | ast.USub) or written_number(node) not in (None, *_TRIVIAL)
-                for node in own_nodes(found[0])
-            )
+            parts = [*own_nodes(found[0])]
+            computes = any(isinstance(node, ast.BinOp | ast.USub) for node in parts)
+            computes |= any(written_number(node) not in (None, *_TRIVIAL) for node in parts)
             given = _START + _COMPUTING * computes if line in starts else 0.0
             ranks[line] = rank + self._forms.get(line, 0.0) + given + _FAILED * (line == failed)
             for source in self._sources(*found):

@@ -31,7 +31,8 @@ def line_ranks(text: str) -> Mapping[int, float]:
     nodes = syntax_nodes(text)
     functions = [node for node in nodes if isinstance(node, _FUNCTIONS)]
     own = {each.name for each in nodes if isinstance(each, _FUNCTIONS | ast.ClassDef)}
-    short = [each for each in functions if len(each.body) <= _SHORT and not _called(each) & {"perform", "Object"}]
+    short = [each for each in functions if len(each.body) <= _SHORT]
+    short = [each for each in short if {*map(called_name, ast.walk(each))}.isdisjoint({"perform", "Object"})]
     computing = {line for each in short for line in range(each.lineno + 1, (each.end_lineno or 0) + 1)}
     ranks: dict[int, float] = {}
     for statement in nodes:  # outer statements come first
@@ -59,7 +60,3 @@ def own_nodes(statement: ast.stmt) -> Iterator[ast.AST]:
     for each in ast.iter_child_nodes(statement):
         if not isinstance(each, ast.stmt):
             yield from (node for node in ast.walk(each) if not isinstance(node, ast.stmt))
-
-
-def _called(node: ast.AST) -> set[str]:
-    return {called_name(each) for each in ast.walk(node)}

@@ -126,9 +126,7 @@ def _slip(node: Any) -> str:  # noqa: C901, PLR0911  one case after the other
             return f"{name}() returns None"
         case ast.BoolOp(values=[ast.Compare(), *others]) if any(isinstance(each, ast.Constant) for each in others):
             return "a constant decides this condition"
-        case ast.Dict(keys=keys) if len({ast.dump(each) for each in keys if each}) < len(
-            [each for each in keys if each]
-        ):
+        case ast.Dict(keys=keys) if len({*map(ast.dump, filter(None, keys))}) < len([*filter(None, keys)]):
             return "a key is given twice"
         case ast.For(iter=ast.Name(id=name)) if name in _changed(node):
             return f"the loop changes {name} while it iterates over it"
@@ -179,18 +177,12 @@ def _kept(source: _Source) -> Found:
         caches = [each for each in node.decorator_list if last_name(getattr(each, "func", each)) in _CACHES]
         if caches and source.calls(node, *_READING):
             yield caches[0], f"{node.name}() keeps its first answer, although the world changes"
-        fields = {last_name(each) for each in ast.walk(source.module) if _named_self(each)}
+        fields = {last_name(each) for each in source.all(ast.Attribute) if last_name(each.value) == "self"}
+        shared = (each.names for each in ast.walk(node) if isinstance(each, ast.Nonlocal | ast.Global))
+        read = _names(node).union(*shared)
         for each in (each for each in ast.walk(node) if isinstance(each, ast.Assign)):
-            for name in sorted((stored(each) & fields) - {*_loaded_names(node)}):
+            for name in sorted((stored(each) & fields) - read):
                 yield each, f"{name} is a local variable here, not self.{name}"
-
-
-def _named_self(node: Any) -> bool:
-    return isinstance(node, ast.Attribute) and last_name(node.value) == "self"
-
-
-def _loaded_names(node: Any) -> set[str]:
-    return _names(node).union(*(each.names for each in ast.walk(node) if isinstance(each, ast.Nonlocal | ast.Global)))
 
 
 def _in_blocks(source: _Source) -> Found:
@@ -211,10 +203,8 @@ def _half_angles(source: _Source) -> Found:
     for node in source.all(ast.List | ast.Tuple):
         turns = [call.args[0] for call in _calls(node, "sin", "cos") if call.args]
         if len(node.elts) == 4 and len(turns) == 2 and len({*map(ast.dump, turns)}) == 1:
-            function = source.function_of(node)
-            made = [
-                each for each in ast.walk(function) if isinstance(each, ast.Assign) and _names(turns[0]) & stored(each)
-            ]
+            every = ast.walk(source.function_of(node))
+            made = [each for each in every if isinstance(each, ast.Assign) and _names(turns[0]) & stored(each)]
             if not _HALF.search("".join(map(ast.unparse, (*turns, *made)))):
                 yield node, "a quaternion has the sine and cosine of half of the angle"
 
@@ -273,11 +263,8 @@ def _bounds(source: _Source) -> Found:
         body = node if isinstance(node, ast.For) else source.around[id(node)]
         name, first, last = last_name(node.target), node.iter.args[0], node.iter.args[:2][-1]
         parts = [each for each in ast.walk(body) if isinstance(each, ast.BinOp | ast.Subscript)]
-        used = [
-            each
-            for each in parts
-            if name in (last_name(getattr(each, part, None)) for part in ("left", "right", "slice"))
-        ]
+        sides = [(each, getattr(each, part, None)) for each in parts for part in ("left", "right", "slice")]
+        used = [each for each, side in sides if last_name(side) == name]
         if any(isinstance(getattr(each, "op", None), ast.Add | ast.Sub) for each in used):
             continue
         if first is not last and written_number(first) == 1 and used:

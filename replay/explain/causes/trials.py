@@ -159,9 +159,8 @@ def wanted(case: FailureCase, name: str, *, before: bool = True) -> list[Place]:
     found: list[Place] = []
     if case.world is not None:
         body, earlier = case.world.bodies[name], [*_earlier(case, name)]
-        named = [
-            each for each in (*_requested(case, body), *_tabled(case, body)) if each[0][-1]
-        ]  # the floor is for robots
+        named = [*_requested(case, body), *_tabled(case, body)]
+        named = [each for each in named if each[0][-1]]  # the floor is for robots
         for number, (at, origin) in enumerate(named + earlier * before):
             place = (*at, *body.position[len(at) :])  # perhaps without a height
             start = earlier[-1:] if number < len(named) else ()  # tables also name the place at the start
