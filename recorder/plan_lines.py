@@ -51,6 +51,12 @@ def called_name(node: ast.AST) -> str:
     return last_name(node.func) if isinstance(node, ast.Call) else ""
 
 
+def written_number(node: ast.AST) -> int | float | None:
+    """Return the number of a constant; None for another node."""
+    value = node.value if isinstance(node, ast.Constant) else None
+    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
+
+
 def stored(node: ast.AST) -> set[str]:
     """Return the variables that a syntax node assigns."""
     return {each.id for each in ast.walk(node) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)}

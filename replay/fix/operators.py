@@ -17,8 +17,9 @@ from pycram import bullet_world_reasoning, failures
 from pycram.bullet_world import BulletWorld, Object
 from pycram.event import Event
 from pycram.fluent import Fluent
-from recorder.plan_lines import called_name, last_name, stored
-from replay.fix.plan_syntax import Change, PlanSyntax, instead, loads, written_number, written_numbers
+from recorder.plan_lines import called_name, last_name, stored, written_number
+from replay.fix.plan_syntax import Change, PlanSyntax, instead, loads, written_numbers
+from replay.history.oddities import MUTABLE
 
 _FACTORS: Final = (0.01, 0.001, math.pi / 180, 100.0, 0.1, 10.0)  # for wrong units and decimal points
 _FEW: Final = 2  # whole numbers up to this number are counts, not lengths
@@ -29,7 +30,6 @@ _AXIS: Final = re.compile(r"(?:.*_)?[xyz]")
 _ANGLE: Final = re.compile(r".*(?:deg|angle|yaw|pitch|roll|theta|turn|heading|rotation).*", re.IGNORECASE)
 _SIZE: Final = re.compile(r"height|width|depth|length|thick|diameter|extent", re.IGNORECASE)
 _RADIANS: Final = {"radians": "radians", "math.radians": "math"}  # functions by the imported name
-_MUTABLE: Final = ast.List | ast.Dict | ast.Set | ast.ListComp | ast.DictComp
 _LAZY: Final = ("zip", "map", "filter", "islice", "chain", "enumerate", "reversed", "product", "permutations", "reader")
 _PARTS: Final = r"^[^(]*\b{}\b[^(=]*( = | in ).*\b(split|splitlines|reader)\("  # parts of a text
 _CONVERTING: Final = ("float", "int", "str", "print")
@@ -169,7 +169,7 @@ def _default(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     pairs = [*zip([*given.posonlyargs, *given.args][::-1], given.defaults[::-1], strict=False)]
     pairs += [(name, value) for name, value in zip(given.kwonlyargs, given.kw_defaults, strict=True) if value]
     for name, value in pairs:
-        if isinstance(value, _MUTABLE | ast.Call | ast.Attribute | ast.Subscript):
+        if isinstance(value, MUTABLE | ast.Call | ast.Attribute | ast.Subscript):
             start = node.body[ast.get_docstring(node) is not None and len(node.body) > 1]
             made = f"{name.arg} = {ast.unparse(value)} if {name.arg} is None else {name.arg}"
             text = f"{made}\n{' ' * start.col_offset}{plan.segment(start)}"
@@ -337,7 +337,7 @@ def _matches(pattern: object, node: object, found: dict[str, str]) -> bool:
 
 
 def _python(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:  # noqa: C901, PLR0912  one case for each mistake
-    """Yield what Python needs: lists of what is read twice, numbers instead of texts, branches of a block, no cache."""
+    """Yield lists of values that are read twice, numbers instead of texts, and functions without cache."""
     around, text = plan.parents.get(node, plan.tree), ast.unparse(node) if isinstance(node, ast.expr) else ""
     match node:
         case ast.FunctionDef(decorator_list=[ast.Name() | ast.Attribute() | ast.Call() as cache]):
@@ -397,7 +397,7 @@ def _blocks(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
                 yield instead(call, f"perform({ast.unparse(call)})", 0.1)
         case ast.FunctionDef(name="__init__", body=[first, *_]):
             for each in plan.block(node):
-                if isinstance(each, ast.Assign) and isinstance(each.value, _MUTABLE):
+                if isinstance(each, ast.Assign) and isinstance(each.value, MUTABLE):
                     new, start = f"self.{ast.unparse(each)}\n{' ' * first.col_offset}", plan.span(first, first)[0]
                     line = plan.offset(each.lineno), plan.offset((each.end_lineno or 0) + 1)
                     yield Change(f"{ast.unparse(each)} for each object", 0.15, ((line, ""), ((start, start), new)))

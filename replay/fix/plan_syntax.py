@@ -11,7 +11,7 @@ from collections.abc import Iterable, Iterator
 from itertools import chain
 from typing import Final, NamedTuple
 
-from recorder.plan_lines import called_name, stored
+from recorder.plan_lines import called_name, stored, written_number
 
 _CHECKING: Final = ("print", "monitored")  # their arguments have no effect on the world
 #: Functions and methods that change the world or a container, and that read the state of the world.
@@ -234,12 +234,6 @@ class PlanSyntax:
 def asserts(node: ast.AST) -> bool:
     """Return whether a node is an assertion."""
     return isinstance(node, ast.Assert | ast.Raise)
-
-
-def written_number(node: ast.AST) -> int | float | None:
-    """Return the number of a constant; None for another node."""
-    value = node.value if isinstance(node, ast.Constant) else None
-    return value if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
 def written_numbers(node: ast.AST) -> list[float]:

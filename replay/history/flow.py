@@ -12,9 +12,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from heapq import heappop, heappush
 from typing import Final
 
-from recorder.plan_lines import called_name, syntax_nodes
+from recorder.plan_lines import called_name, syntax_nodes, written_number
 from replay.history.line_forms import line_ranks, own_nodes
-from replay.history.oddities import CHANGING, DECLARING, FUNCTIONS, is_strong, oddities, written_number
+from replay.history.oddities import CHANGING, DECLARING, FUNCTIONS, is_strong, oddities
 
 _LEAVING: Final = ast.Continue | ast.Break | ast.Return | ast.Raise
 _STORING: Final = (*CHANGING, "set_value")

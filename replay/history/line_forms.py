@@ -55,8 +55,8 @@ def _rank(statement: ast.stmt, parts: list[ast.AST], own: set[str]) -> float:
     return rank + _OTHER_CALL[0] * any(name[0].islower() for name in others)
 
 
-def own_nodes(statement: ast.stmt) -> Iterator[ast.AST]:
-    """Yield the nodes of a statement, but not the statements in it."""
-    for each in ast.iter_child_nodes(statement):
+def own_nodes(node: ast.AST) -> Iterator[ast.AST]:
+    """Yield the nodes in a statement or an expression, but not the statements in it."""
+    for each in ast.iter_child_nodes(node):
         if not isinstance(each, ast.stmt):
-            yield from (node for node in ast.walk(each) if not isinstance(node, ast.stmt))
+            yield from (part for part in ast.walk(each) if not isinstance(part, ast.stmt))

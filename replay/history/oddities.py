@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any, Final, TypeAlias
 
-from recorder.plan_lines import called_name, last_name, stored, syntax_nodes
+from recorder.plan_lines import called_name, last_name, stored, syntax_nodes, written_number
 
 FUNCTIONS: Final = ast.FunctionDef | ast.AsyncFunctionDef
 DECLARING: Final = FUNCTIONS | ast.ClassDef | ast.Import | ast.ImportFrom
@@ -17,7 +17,7 @@ CHANGING: Final = ("pop", "popleft", "remove", "clear", "append", "add", "extend
 Found: TypeAlias = Iterator[tuple[ast.AST, str]]
 
 UNUSED: Final = "is never used"
-_MUTABLE: Final = ast.List | ast.Dict | ast.Set | ast.ListComp | ast.DictComp
+MUTABLE: Final = ast.List | ast.Dict | ast.Set | ast.ListComp | ast.DictComp
 _ITERATORS: Final = ("map", "zip", "filter", "islice", "reversed", "chain")
 _BLOCKS: Final = ("par", "seq", "pursue", "try_in_order", "try_all")
 _CACHES: Final = ("cache", "lru_cache", "cached_property")
@@ -94,10 +94,9 @@ def _changed(node: Any) -> set[str]:
     return {last_name(getattr(each.func, "value", None)) for each in _calls(node, *CHANGING)} - {""}
 
 
-def written_number(node: Any) -> float | None:
+def _size(node: Any) -> float | None:
     """Return the number that a node writes, without its sign; None for other nodes."""
-    value = getattr(node.operand if isinstance(node, ast.UnaryOp) else node, "value", None)
-    return float(value) if isinstance(value, int | float) else None
+    return written_number(getattr(node, "operand", node))
 
 
 # --- rules ----------------------------------------------------------------------------------------------------------
@@ -137,7 +136,7 @@ def _slip(node: Any) -> str:  # noqa: C901, PLR0911  one case after the other
 
 def _is_mutable(node: Any) -> bool:
     made = isinstance(node, ast.BinOp) and isinstance(node.left, ast.List)
-    return made or isinstance(node, _MUTABLE) or called_name(node) in ("list", "dict", "set", "deque")
+    return made or isinstance(node, MUTABLE) or called_name(node) in ("list", "dict", "set", "deque")
 
 
 def _axes(*nodes: Any) -> str:
@@ -233,7 +232,7 @@ def _parameters(source: _Source) -> Found:
     for node in source.functions.values():
         given = [each.arg for each in (*node.args.posonlyargs, *node.args.args)]
         for name, value in zip(given[::-1], node.args.defaults[::-1], strict=False):
-            if isinstance(value, _MUTABLE) and name in _changed(node):
+            if isinstance(value, MUTABLE) and name in _changed(node):
                 yield value, f"all calls of {node.name} share the default of {name}"
         for loop in (each for each in ast.walk(node) if isinstance(each, ast.For)):
             yield from (
@@ -267,7 +266,7 @@ def _bounds(source: _Source) -> Found:
         used = [each for each, side in sides if last_name(side) == name]
         if any(isinstance(getattr(each, "op", None), ast.Add | ast.Sub) for each in used):
             continue
-        if first is not last and written_number(first) == 1 and used:
+        if first is not last and _size(first) == 1 and used:
             yield node.iter, "the loop begins at 1, and the first index is 0"
         elif isinstance(last, ast.BinOp) and _calls(last.left, "len"):
             yield node.iter, f"the loop {'leaves out' if isinstance(last.op, ast.Sub) else 'goes beyond'} the last item"
@@ -286,7 +285,7 @@ def _unreached(source: _Source) -> Found:
                 node.test, ast.Compare
             ):
                 if ast.dump(test.left) == ast.dump(node.test.left) and type(op) is type(node.test.ops[0]):
-                    wide, (one, two) = node.test.comparators[0], map(written_number, (node.test.comparators[0], other))
+                    wide, (one, two) = node.test.comparators[0], map(_size, (node.test.comparators[0], other))
                     contained = isinstance(op, ast.In) and set() < members.get(last_name(other), set()) <= members.get(
                         last_name(wide), set()
                     )
@@ -364,7 +363,7 @@ def _degrees(source: _Source) -> Found:
         made = [each for each in ast.walk(function) if isinstance(each, ast.Assign) and names & stored(each)]
         names = names.union(*(_names(each.value) for each in made))
         given = [each for other in _calls(source.module, getattr(function, "name", "-")) for each in other.args]
-        large = any((written_number(each) or 0.0) > _LARGEST_ANGLE for each in given)
+        large = any((_size(each) or 0.0) > _LARGEST_ANGLE for each in given)
         if (large or any("deg" in name.lower() for name in names)) and not {"radians", "pi"} & {*_loaded(function)}:
             yield call, "the angle is in degrees, not in radians"
 

@@ -17,6 +17,7 @@ from pycram.world.world import BulletWorld
 from recorder.plan_lines import called_name
 from recorder.records.tracebacks import result_or
 from recorder.tracing.call_stack import described
+from replay.history.line_forms import own_nodes
 from replay.origins.noting import FUNCTIONS, Held, Note, ValueNotes, bound_names
 from replay.origins.origin import Origin
 
@@ -118,7 +119,7 @@ class Tracer:
         text = self._notes.texts[file][line - 1].strip() if line else ""
         self._count += 1
         words, number = ("", None) if value is None else (shown(value.copy), _numbers_in(value.copy))
-        constants = [each for each in _own_nodes(node) if isinstance(each, ast.Constant | ast.operator)]
+        constants = [each for each in (node, *own_nodes(node)) if isinstance(each, ast.Constant | ast.operator)]
         numbers = any(not isinstance(getattr(each, "value", 0), str | None) for each in constants)
         own = (bool(constants) + numbers) / 2
         rank = self._notes.ranks[file].get(line, 0.0) + _KINDS.get(kind, 0.0) + _ITERATOR * words.startswith(_ITERATORS)
@@ -428,22 +429,21 @@ class Tracer:
         return next(filter(None, found), "")
 
     def _odd(self, node: ast.AST, place: Evaluation) -> str:
-        text = ast.unparse(node)
         match node:
             case ast.BinOp(op=ast.FloorDiv()):
                 one, other = self._number(node.left, place), self._number(node.right, place)
                 if one is not None and other and one % other:
-                    return f"{text} rounds {shown(one / other)} down"
+                    return f"{ast.unparse(node)} rounds {shown(one / other)} down"
             case ast.Call(func=ast.Name(id="int"), args=[part]):
                 number = self._number(part, place)
                 if number is not None and number < 0 and number % 1:
-                    return f"{text} rounds {shown(number)} up"
+                    return f"{ast.unparse(node)} rounds {shown(number)} up"
             case ast.BoolOp(op=ast.Or(), values=[part, *_]) | ast.UnaryOp(op=ast.Not(), operand=part):
                 if self._number(part, place) == 0:
                     return f"{ast.unparse(part)} is 0, which counts as missing here"
             case ast.Call() if called_name(node) in ("sorted", "sort", "min", "max"):
                 keys = [each.value.body for each in node.keywords if isinstance(each.value, ast.Lambda)]
-                notes = (note for key in keys for note in self._of_node[self._numbers[id(key)]] if note.result)
+                notes = (note for key in keys for note in self._of_node[self._numbers[id(key)]])
                 values = [note.result.copy for note in notes if note.result is not None]
                 if _holds(lambda: sorted(values) != sorted(values, key=float), otherwise=False):
                     return f"{ast.unparse(keys[0])} is text, not a number: {min(values)!r} comes before {max(values)!r}"
@@ -620,14 +620,6 @@ def shown(value: Any) -> str:
     text = described(value)
     name = getattr(value, "name", None) if text.startswith("<Object ") else None
     return str(name or (text if len(text) <= 60 else f"{text[:57]}..."))
-
-
-def _own_nodes(node: ast.AST) -> Iterator[ast.AST]:
-    """Yield the nodes of an expression, or of a statement without its body."""
-    yield node
-    for each in ast.iter_child_nodes(node):
-        if not isinstance(each, ast.stmt):
-            yield from _own_nodes(each)
 
 
 def _numbers_in(value: Any) -> Any:

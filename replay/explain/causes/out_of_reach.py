@@ -187,9 +187,11 @@ class NoCandidate(Cause):
 
 def _brought(case: FailureCase, body: str) -> Iterator[Trial]:
     """Yield the trials in which a body is where the plan wants it, near the robot."""
-    robot = case.robot if case.free_body(body) is not None else None
-    for place in trials.wanted(case, body, before=False) if robot is not None else ():
-        if robot is not None and math.dist(place[0][:2], robot.position[:2]) < TOO_FAR:
+    robot = case.robot
+    if robot is None or case.free_body(body) is None:
+        return
+    for place in trials.wanted(case, body, before=False):
+        if math.dist(place[0][:2], robot.position[:2]) < TOO_FAR:
             yield replace(trials.arranged(case, {body: place}), succeeds=True, partial=True)
 
 

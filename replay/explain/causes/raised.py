@@ -254,8 +254,9 @@ class Written(Cause):
             yield from (replace(each, compares=True) for each in self._moved(case, case.world))
 
     def _moved(self, case: FailureCase, world: World) -> Iterator[Trial]:
-        body, reads = world.bodies[self.body], [names for names, part in _compared(case) if part == self.part]
-        read = next((names for names in reads if self.body in names), [])  # perhaps several, which fail together
+        body, reads = world.bodies[self.body], [*_compared(case)]
+        alike = (names for names, part in reads if part == self.part and self.body in names)
+        read = next(alike, [])  # perhaps several bodies, which fail together
         together = dict.fromkeys([self.body, *(each for each in read if each in case.mentioned)])
         if self.part in ("", *_AXES):
             places = {each: trials.wanted(case, each) for each in together}
@@ -263,7 +264,8 @@ class Written(Cause):
                 yield trials.arranged(case, {each: at[number] for each, at in places.items() if number < len(at)})
         carried = self.change.task is not None and self.change.task.kind == "motion" and self.part in _IN_SPACE
         yield from trials.put_back(case, self.change) if self.change.how != "load" and not carried else ()
-        is_given = self.change.how == "load" and len({name for name, _ in compared(case)}) > 1  # others were moved
+        names = {name for every, _ in reads for name in every}
+        is_given = self.change.how == "load" and len(names) > 1  # the plan moved the others
         if self.part in _AXES and not is_given:
             axis = _AXES.index(self.part)
             for goal in _goals(case, body.position[axis], axis):
