@@ -27,6 +27,7 @@ from recorder.geometry import Vector
 from recorder.records import Check
 from recorder.records.values import AssetFile
 from recorder.system import cache_folder, is_own, user
+from recorder.tracing.interrupts import partial_folder
 from recorder.viewer.connection import END_TIMEOUT, PORT, Target, ViewerGone, ViewerKind, ViewerWindow, address, answers
 from recorder.viewer.rerun_stream import STEP, stream_to_file
 from recorder.viewer.translator import ORIGIN, Layout, Translator, acts, blueprint, side_by_side
@@ -50,8 +51,8 @@ def convert(
     sense, Damaged is raised.
     """
     try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent) as folder:
-            part = Path(folder) / path.name
+        with partial_folder(path) as folder:
+            part = folder / path.name
             with stream_to_file(part) as stream:
                 translate(logs, stream, at, eyes, opens=opens)
             part.chmod(0o644)

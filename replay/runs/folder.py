@@ -19,7 +19,6 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from glob import escape
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import duckdb
@@ -27,6 +26,7 @@ import pyarrow as pa
 from pyarrow import compute, parquet
 
 from recorder import html, system
+from recorder.tracing.interrupts import partial_folder
 from replay.errors import NotALog, ReplayError
 from replay.file.record_reader import RecordReader
 from replay.runs.rows import FOLDER, NEW, partial_rows, read_rows, tables_of, written_rows
@@ -224,14 +224,14 @@ class Folder:
     def _write_part(self, tables: Mapping[str, pa.Table]) -> str:
         part = f"{self._contents.next:06}"
         self._contents.next += 1
-        with TemporaryDirectory(prefix=f".{part}.", dir=self.tables, ignore_cleanup_errors=True) as partial:
+        with partial_folder(self.tables / part) as partial:
             for name, table in tables.items():
-                parquet.write_table(table, Path(partial) / f"{name}.parquet", compression="zstd")
+                parquet.write_table(table, partial / f"{name}.parquet", compression="zstd")
             shutil.rmtree(self.tables / part, ignore_errors=True)  # a killed update may have left this part
             mask = os.umask(0)
             os.umask(mask)
-            Path(partial).chmod(0o777 & ~mask)
-            Path(partial).rename(self.tables / part)
+            partial.chmod(0o777 & ~mask)
+            partial.rename(self.tables / part)
         return part
 
     # --- locks -------------------------------------------------------------------------------------------------------

@@ -15,7 +15,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, TypeAlias, cast
 
 import numpy as np
@@ -24,6 +23,7 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from recorder.packages import needed
+from recorder.tracing.interrupts import partial_folder
 from replay.errors import ReplayError
 from replay.file.record_reader import RecordReader
 
@@ -88,8 +88,7 @@ def export(runs: Runs, names: Sequence[str], folder: Path, draw: Draw | None = N
         raise ReplayError(f"{runs.path}: the runs have different robots ({', '.join(kinds)}); a data set has one robot")
     try:
         folder.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent, ignore_cleanup_errors=True) as name:
-            partial = Path(name)
+        with partial_folder(folder) as partial:
             with ExitStack() as files:
                 videos = None
                 if draw is not None:

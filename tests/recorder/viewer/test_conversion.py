@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -18,23 +17,31 @@ from replay.view import convert
 from tests.recorder.viewer.shown import Shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from recorder.records import Record
 
 REPO = Path(__file__).parents[3]
 GOLDEN = REPO / "tests" / "replay" / "golden" / "0.1.0.mcap"
+# Presses Ctrl-C when the temporary folder has just been made, or when the first record comes.
 VIEW = """
-import sys
+import signal, sys, tempfile
+from recorder.viewer.translator import Translator
 from replay.cli.main import main
+
+def show(*_):
+    signal.raise_signal(signal.SIGINT)
+
+def make(*arguments, **named):
+    folder = mkdtemp(*arguments, **named)
+    if ".log.rrd." in folder:
+        signal.raise_signal(signal.SIGINT)
+    return folder
+
+if sys.argv[3] == "folder":
+    mkdtemp, tempfile.mkdtemp = tempfile.mkdtemp, make
+else:
+    Translator.show = show
 sys.exit(main(["view", sys.argv[1], "--save", sys.argv[2]]))
 """
-# Stops at its first record until it is interrupted.
-VIEW_SLOWLY = f"""
-import threading
-from recorder.viewer.translator import Translator
-Translator.show = lambda *_: threading.Event().wait()
-{VIEW}"""
 
 
 def write(log: Path, *records: Record) -> Path:
@@ -89,19 +96,11 @@ def test_a_time_beyond_the_viewers_range_is_reported(tmp_path: Path, capsys: pyt
     assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
 
 
-@pytest.mark.slow
-def test_ctrl_c_leaves_no_file_behind(tmp_path: Path, until: Callable[..., None]) -> None:
-    process = subprocess.Popen(
-        [sys.executable, "-c", VIEW_SLOWLY, GOLDEN, tmp_path / "log.rrd"],
-        cwd=REPO,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    until(lambda: list(tmp_path.iterdir()), "the conversion begins")
-    process.send_signal(signal.SIGINT)
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 130
-    said = [line for line in err.splitlines() if "re_sdk" not in line]  # but for a rare warning of the library's own
-    assert (out, said) == ("", [])
+@pytest.mark.parametrize("moment", ["folder", "record"])
+def test_ctrl_c_leaves_no_file_behind(tmp_path: Path, moment: str) -> None:
+    command = [sys.executable, "-c", VIEW, GOLDEN, tmp_path / "log.rrd", moment]
+    ended = subprocess.run(command, cwd=REPO, capture_output=True, text=True, timeout=120, check=False)
+    assert ended.returncode == 130
+    said = [line for line in ended.stderr.splitlines() if "re_sdk" not in line]  # a rare warning of the library's own
+    assert (ended.stdout, said) == ("", [])
     assert not list(tmp_path.iterdir())
