@@ -13,6 +13,7 @@ from recorder.records.text import chosen_name, decision_text, fates_text, forese
 from recorder.tasks import Node
 from replay.compare import difference_lines
 from replay.explain.causes.case import Cause
+from replay.explain.causes.raised import Raised
 from replay.explain.causes.trials import TriedTrial
 from replay.explain.causes.waiting import Interruption
 from replay.explain.good_run import GoodRun
@@ -256,7 +257,8 @@ def _summary(why: Why, task: Node) -> Iterator[str]:
             yield f"{name} failed {times} times; it last succeeded at step {why.since_same_success.task.last_step}."
         yield f"The last attempt, {phrases.node(motion)}, failed at step {task.last_step}: {error}"
         return
-    lead = "The cause:" if why.exceptions else "Before that,"
+    mistaken = any(isinstance(each, Raised) and not (each.own or each.task) for each in why.causes)
+    lead = "The cause:" if why.exceptions and not mistaken else "Before that,"
     yield f"{lead} {phrases.node(motion)} failed at step {task.last_step}: {error}"
 
 

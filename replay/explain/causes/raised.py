@@ -54,7 +54,7 @@ class Raised(Cause):
     type: str  # type of the exception
     line: Line  # the plan's line
     own: bool  # whether the line is a ``raise`` or ``assert``, rather than a mistake
-    task: Node | None  # the task around the line; None if there is none
+    task: Node | None  # the task around the line; None if there is none, or if the plan handled the failure of a task
     #: The answers on which the line may depend: the last queries and waits of its task. If the last motion of the task
     #: before these changes failed, the end of that motion comes first. For a ``whenever``, the last change of the
     #: fluents that it follows.
