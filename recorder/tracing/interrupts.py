@@ -13,7 +13,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final, Protocol, Self
@@ -270,8 +270,7 @@ def partial_folder(path: Path) -> Iterator[Path]:
     """Make a hidden folder beside ``path``, for what is moved there when it is complete. Ctrl-C leaves no folder."""
     from tempfile import TemporaryDirectory  # noqa: PLC0415  slow to import
 
-    with ExitStack() as stack:
-        with Uninterrupted():  # otherwise, Ctrl-C might come before anybody is to remove the folder
-            folder = TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent, ignore_cleanup_errors=True)
-            name = stack.enter_context(folder)
-        yield Path(name)
+    with Uninterrupted():  # otherwise, Ctrl-C might come before anybody is to remove the folder
+        folder = TemporaryDirectory(prefix=f".{path.name}.", dir=path.parent, ignore_cleanup_errors=True)
+    with folder:
+        yield Path(folder.name)

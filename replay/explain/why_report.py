@@ -198,15 +198,13 @@ def lines(why: Why, path: str = "", origins: Iterable[str] = (), good: GoodRun |
 
 
 def _sources(why: Why) -> Iterator[str]:
+    if (case := why.case) is None:
+        return
     for each in why.sources:
-        slip = _slip(why, each)
-        skipped = "no record shows that it ran" if why.case is not None and each in why.case.skipped(each.file) else ""
+        slip = oddities(case.source.text(each.file)).get(each.number)
+        skipped = "no record shows that it ran" if each in case.skipped(each.file) else ""
         comment = f"perhaps: {slip}" if slip else skipped
         yield f"{phrases.place(each)}  {each.text}" + (f"  # {comment}" if comment else "")
-
-
-def _slip(why: Why, line: Line) -> str:
-    return "" if why.case is None else oddities(why.case.source.text(line.file)).get(line.number, "")
 
 
 def _headline(why: Why) -> Iterator[str]:

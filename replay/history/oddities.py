@@ -141,13 +141,9 @@ def _is_mutable(node: Any) -> bool:
 
 def _axes(*nodes: Any) -> str:
     """Return the axes after which some expressions are named, or whose items they read."""
-    first: Iterator[Any] = (node.left if isinstance(node, ast.BinOp) else node for node in nodes)
-    names = ("xyz"[node.slice.value : node.slice.value + 1] if _is_item(node) else last_name(node) for node in first)
-    return "".join(match[1] for name in names if (match := re.search(r"(?:^|[_.d])([xyz])$", name)))
-
-
-def _is_item(node: Any) -> bool:
-    return isinstance(node, ast.Subscript) and isinstance(getattr(node.slice, "value", None), int)
+    texts = (ast.unparse(node.left if isinstance(node, ast.BinOp) else node) for node in nodes)
+    found = (re.search(r"(?:^|[_.d])([xyz])$|\[([012])\]$", text) for text in texts)
+    return "".join(match[1] or "xyz"[int(match[2])] for match in found if match)
 
 
 def _iterators(source: _Source) -> Found:

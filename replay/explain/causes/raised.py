@@ -140,10 +140,9 @@ def _raised_while_handling(case: FailureCase) -> Iterator[Raised]:
     last = next(reversed(case.exceptions), None)
     end = case.task.motion.finished if case.task is not None else None
     failure = (case.failure.type, case.failure.message)
-    if last is None or end is None or not last.lines or (last.type, last.message) == failure:
+    waited = last is not None and last.type == "DeadlockedBranches"  # for the failed branch
+    if last is None or end is None or not last.lines or waited or (last.type, last.message) == failure:
         return
-    if last.type == "DeadlockedBranches":
-        return  # the other branches waited for the failed branch
     if last.own if _is_raise(last.lines[-1]) else is_mistake(last.type):
         line = last.lines[-1] if last.own else case.line(last.lines) or last.lines[-1]
         yield Raised((end.seq,), last.type, line, last.own and _is_raise(line), None, (end,))
