@@ -25,6 +25,7 @@ _IDIOM: Final = 0.3  # largest cost of a mistake that is made alike in all items
 _UNUSED: Final = 0.35  # by how much an edit with a name that the plan doesn't use is likelier
 _AROUND: Final = 0.1  # additional cost of an edit of the condition or loop around a line
 _BLOCKS: Final = ast.For | ast.While | ast.If | ast.With
+_JUMPS: Final = ast.Return | ast.Raise | ast.Break | ast.Continue
 _SCENE: Final = 0.3  # additional cost of an edit of a loaded object
 _WAITS: Final = ("settle()", "simulate(1)")
 CERTAIN: Final = 0.2  # largest cost of an edit of what is hardly ever meant
@@ -186,6 +187,7 @@ class Editor:
             needed = [(statement, each) if to < at else (each, statement) for each in crossed if each is not statement]
             undefined = any(loads(one, stored(other)) and not isinstance(other, ast.For) for one, other in needed)
             evades = any(map(self._is_check, crossed)) or (to > at and not plan.goals.isdisjoint(crossed))
+            evades |= any(isinstance(each, _JUMPS) for each in crossed)  # what comes behind it would never run
             if 0 <= to < len(block) and not undefined and not evades:
                 is_early = reads and to + 1 in uses[:1] and any(map(plan.acts, crossed[1:]))
                 is_late = reads and to == at - 1 and plan.acts(block[to])
@@ -204,12 +206,12 @@ class Editor:
             yield self._moved(statement, parent, 0.45, "the loop")
         early = isinstance(parent, ast.With) and reads and not uses  # the block acts only at its end
         if (is_last or early) and isinstance(parent, _BLOCKS) and not self._is_check(statement):
-            loops = isinstance(parent, ast.For | ast.While)
-            ends = isinstance(statement, ast.Return) and (loops or plan.block(parent)[-1] is parent)
+            ends, loops = isinstance(statement, _JUMPS), isinstance(parent, ast.For | ast.While)
             cost = 0.3 if early else 0.6 if not ends else 0.4 if loops else 0.15
-            yield self._moved(statement, parent, cost, "the block", after=True)
+            if not ends or plan.block(parent)[-1] is parent:
+                yield self._moved(statement, parent, cost, "the block", after=True)
         above = block[at - 1] if at and not self._is_check(statement) else None
-        if isinstance(above, _BLOCKS) and not self._is_check(above):
+        if isinstance(above, _BLOCKS) and not (self._is_check(above) or isinstance(above.body[-1], _JUMPS)):
             last, counts = above.body[-1], isinstance(statement, ast.AugAssign) and loads(above, stored(statement))
             yield self._moved(statement, last, 0.2 if counts else 0.5, f"line {last.lineno}, in its block", after=True)
 

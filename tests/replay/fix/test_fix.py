@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import json
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, cast
@@ -125,6 +126,26 @@ def test_edits_stay_at_one_place_and_leave_no_statement_out() -> None:
     assert 'x = [1, 0, 0, 1]\nif a < b and not c:\n    go("right")  # é\n    do("left", d / 2)\n' in edited[4]
     for texts in edited.values():
         assert all("do(" in each and "go(" in each and "x = " in each for each in texts)
+
+
+def test_no_statement_comes_behind_the_end_of_its_block() -> None:
+    text = """
+def lay(things):
+    for thing in things:
+        go(thing)
+        if thing.full:
+            spill(thing)
+            continue
+        put(thing)
+    wash(things)
+    return things
+"""
+    editor = Editor(text)
+    edits = [edit.text for line in range(1, text.count("\n") + 1) for edit in editor.edits(line)]
+    assert any(edit.index("wash(") < edit.index("for thing") for edit in edits), "statements are moved"
+    for node in (node for edit in edits for node in ast.walk(ast.parse(edit))):
+        block = getattr(node, "body", [])
+        assert not any(isinstance(each, ast.Return | ast.Continue) for each in block[:-1]), ast.unparse(node)
 
 
 def test_an_edit_that_makes_two_alternatives_equal_is_marked() -> None:
