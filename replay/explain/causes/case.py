@@ -297,16 +297,20 @@ class FailureCase:
 
     def changed(self, target: str) -> CausingChange | None:
         """Return the last change of a body or joint; None if it came before the first motion."""
-        last = self.blame(target)
-        if last is None:
-            return None
-        settled = last.distance < _SETTLED[0] and last.angle < _SETTLED[1]
-        if last.how == "physics" and last.earlier is not None and settled:
-            last = last.earlier
+        last = self._unsettled(target)
         first = self.step if self.failed.first_motion is None else self.failed.first_motion
-        if last.how == "before" or (last.how == "load" and last.record.seq < first):
+        if last is None or last.how == "before" or (last.how == "load" and last.record.seq < first):
             return None
         return self.blamed(last)
+
+    def _unsettled(self, target: str) -> Blame | None:
+        """Return the last change of a body or joint that is more than settling."""
+        last = self.blame(target)
+        while last is not None and last.how == "physics" and last.earlier is not None:
+            if last.distance >= _SETTLED[0] or last.angle >= _SETTLED[1]:
+                break
+            last = blame(self.log, target, last.earlier.record.seq, last.world)
+        return last
 
     def blamed(self, last: Blame) -> CausingChange:
         """Return the last change of a body or joint as a causing change."""
@@ -319,7 +323,7 @@ class FailureCase:
 
     def loaded(self, body: str) -> CausingChange | None:
         """Return the loading of a body that has not moved since then; None if another change came last."""
-        last = self.blame(body)
+        last = self._unsettled(body)
         return None if last is None or last.how != "load" else self.change(last.record, body, "load")
 
     def change(

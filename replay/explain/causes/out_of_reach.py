@@ -137,7 +137,7 @@ class NoCandidate(Cause):
     """All candidates, such as grasps or postures, were rejected."""
 
     kind = "no-candidate"
-    untestable = "no change of a fork gives the motion other candidates"
+    untestable = "no change of the world is known that gives the motion other candidates"
     asked: Query  # the choice, with its candidates and the reasons why they were rejected
     count: int  # number of candidates
 
@@ -164,6 +164,7 @@ class NoCandidate(Cause):
         reasons = [str(argument_values(each.data).get("reason") or "") for each in self.asked.candidates]
         bodies = case.world.bodies if case.world is not None else {}
         touched += [name for name in bodies if any(each.startswith(f"{name} is there") for each in reasons)]
+        yield from trials.seen(case, case.task) if case.task is not None else ()
         for body in dict.fromkeys(touched):
             yield from trials.away(case, body)
         links = ((str(each.get("body")), str(each.get("body_link", ""))) for each in pairs if isinstance(each, dict))

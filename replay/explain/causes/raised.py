@@ -214,7 +214,7 @@ class Written(Cause):
     """A change wrote the value that a property or the plan compares."""
 
     kind = "written"
-    untestable = "a fork can't take this change back before its value is compared"
+    untestable = "no value is known that the plan would accept"
     body: str
     part: str  # "x", "y", "z", "turn" or the name of a joint; "" for the whole pose
     value: float | None  # compared value in m or rad; None for "turn" and ""

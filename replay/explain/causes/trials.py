@@ -315,9 +315,11 @@ def given_back(case: FailureCase) -> Iterator[Trial]:
     name, robot = next(iter(case.subjects), ""), case.robot.name if case.robot is not None else ""
     for taken in [each for each in case.motions("pick-up") if name in objects_in(each.parameters)][:1]:
         stood, lay = (_body(case, each, taken.started.seq) for each in (robot, name))
-        for trial in replaced(case, "target", phrases.vector(lay.position)) if lay is not None else ():
+        if lay is None:
+            continue
+        for trial in replaced(case, "target", phrases.vector(lay.position)):
             pose = {f"{written(robot)}.position": (*stood.position, *stood.orientation)} if stood is not None else {}
-            words = f"{name} is put back from where it was taken,"
+            words = f"place puts {name} to where it was taken, {phrases.vector(lay.position)},"
             yield replace(_set(case, None, words, pose), answers=trial.answers, succeeds=True)
 
 

@@ -128,6 +128,10 @@ with par as both:
         + 'perform(type="place", object=milk, target=[1.0, 0.9, 0.96], arm="left")\n',
         ("no-candidate", "confirmed"),
     ),
+    "the object isn't in the picture": (
+        TABLE + 'robot.set_orientation([0, 0, 1, 0])\nperform(type="detecting", object_type="milk")\n',
+        ("no-candidate", "confirmed"),
+    ),
     "the plan has a mistake": ("milk = None\nmilk.set_position([0, 0, 1])\n", ("raised", "code")),
 }
 

@@ -8,7 +8,7 @@ import pytest
 
 from replay.explain import causes as kinds
 from replay.explain.causes.case import CausingChange
-from tests.replay.explain.causes.explaining import line_of, words
+from tests.replay.explain.causes.explaining import WITH_PR2, line_of, words
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -50,6 +50,22 @@ def test_what_let_an_object_fall_is_the_change_before(
 def test_an_object_that_settled_is_no_cause(explained: Callable[..., Why]) -> None:
     why = explained(SHELF.format(change="pass"))
     assert [cause.kind for cause in why.causes] == ["raised"]
+
+
+def test_an_obstacle_that_settled_was_put_there_by_its_load(explained: Callable[..., Why], tmp_path: Path) -> None:
+    why = explained(
+        WITH_PR2
+        + """
+        pot = Object("pot", "pot", "pot.stl", [2, 0, 0.069])
+        world.settle()
+        milk.set_position([7, 1, 0.1])
+        world.settle()
+        perform(type="moving", target=[2, 0, 0])
+        """
+    )
+    (cause,) = why.causes
+    assert (cause.kind, cause.body, cause.change.how) == ("in-the-way", "pot", "load")
+    assert cause.change.line.number == line_of(tmp_path, "pot = ")
 
 
 def test_what_let_go_of_an_object_tells_how_it_turned(
