@@ -52,7 +52,7 @@ class Edit:
         """Return what supports the edit of a source besides the success of its runs; "" for nothing."""
         slip, lines = oddities(before).get(self.line, ""), self.text.splitlines()
         is_inserted = len(lines) > before.count("\n") and before.splitlines()[self.line - 1] in lines
-        if is_strong(slip) and not is_inserted:
+        if is_strong(slip) and not is_inserted and slip not in oddities(self.text).values():
             return f"that line: {slip}"
         return "other numbers of the plan suggest it" if self.kind == "_number" and not self.asks else ""
 

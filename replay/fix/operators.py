@@ -28,7 +28,7 @@ _RIGHT_ANGLES: Final = 15.0  # multiples of this number are likely angles in deg
 _PASSED: Final = 0.3  # additional cost of a number for a function of the plan, which may convert it
 _AXIS: Final = re.compile(r"(?:.*_)?[xyz]")
 _ANGLE: Final = re.compile(r".*(?:deg|angle|yaw|pitch|roll|theta|turn|heading|rotation).*", re.IGNORECASE)
-_SIZE: Final = re.compile(r"height|width|depth|length|thick|diameter|extent", re.IGNORECASE)
+_SIZE: Final = re.compile(r"height|high|tall|width|wide|depth|length|long|thick|diameter|extent|size", re.IGNORECASE)
 _RADIANS: Final = {"radians": "radians", "math.radians": "math"}  # functions by the imported name
 _LAZY: Final = ("zip", "map", "filter", "islice", "chain", "enumerate", "reversed", "product", "permutations", "reader")
 _PARTS: Final = r"^[^(]*\b{}\b[^(=]*( = | in ).*\b(split|splitlines|reader)\("  # parts of a text
@@ -64,6 +64,11 @@ _RULES: Final = """
 0.3; math.degrees(A) | math.radians(A); A[K] - B[K] | (A[K] - B[K]) / 2; N or B | B if N is None else N
 0.3; A // (B - K) | A / (B - K); dict(A, **B) | {**B, **A}; A.attach(B) | B.attach(A); {**A, **B} | {**B, **A}
 0.3; range(A + 1) | range(A); range(A - 1) | range(A); degrees(A) | radians(A); not N | N is None
+0.3; A + B * sin(C) | A - B * sin(C); A - B * sin(C) | A + B * sin(C); A + B if C else D | A + (B if C else D)
+0.3; A + sin(C) * B | A - sin(C) * B; A - sin(C) * B | A + sin(C) * B; A - B if C else D | A - (B if C else D)
+0.3; A + B * math.sin(C) | A - B * math.sin(C); A - B * math.sin(C) | A + B * math.sin(C); A.type | A
+0.3; A + math.sin(C) * B | A - math.sin(C) * B; A - math.sin(C) * B | A + math.sin(C) * B
+0.3; N.wait_for() | (N == True).wait_for(); accumulate(A) | accumulate(A, initial=0)
 0.3?; A * 0.001 | A * 0.01; math.radians(A) | A; A / 1000 | A / 100; A / 100 | A / 1000; radians(A) | A; degrees(A) | A
 0.35; A.set_value(K) | A.set_value(A.get_value() + K); (A - B) // C | (A - B) / C; A + B / C | (A + B) / C
 0.35; A - B / C | (A - B) / C; A + B * C | (A + B) * C; A - B * C | (A - B) * C; A / B + C | A / (B + C)
@@ -75,9 +80,9 @@ _RULES: Final = """
 0.45; set(A) | list(A) | sorted(A); A.startswith(B) | A == B; A.endswith(B) | A == B; int(A) | A
 0.5; enumerate(A) | enumerate(A, 1); A.copy() | copy.deepcopy(A); A[X] | A[X - 1] | A[X + 1]; round(A) | A | round(A, 2)
 0.5; A, *B = C | *B, A = C; return | continue; continue | break; A += B | A = B
-0.5?; A not in B | A in B; A += B | A -= B; sorted(A) | A; abs(A) | A; A + K | A; A - K | A; not A | A
+0.5?; A not in B | A in B; A += B | A -= B; sorted(A) | A; abs(A) | A; A + K | A; A - K | A; not A | A; True | False
 0.55?; A in B | A not in B; A is B | A is not B; A is not B | A is B; A <= B | A >= B; A >= B | A <= B; A == B | A != B
-0.55?; A != B | A == B; A < B | A > B; A > B | A < B
+0.55?; A != B | A == B; A < B | A > B; A > B | A < B; False | True
 0.58; A == B | A is B | abs(A - B) < 0.001; break | continue; A is B | A == B; A in B | A == B; A < B | A <= B
 0.58; A > B | A >= B; A <= B | A < B; A >= B | A > B
 0.65; A and B and C | A or B or C; A or B or C | A and B and C; A and B | A or B; A or B | A and B
@@ -138,6 +143,8 @@ def _assigned(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
             place = plan.offset(node.lineno), plan.offset((node.end_lineno or node.lineno) + 1)
             if len(plan.names["BulletWorld"]) > 1:
                 yield Change(f"without the unused world {name}", 0.2, ((place, ""),))
+        case ast.Assign([ast.Name(name) as target]) if name in plan.fields and not loads(plan.scope(node), {name}):
+            yield instead(target, f"self.{name}", 0.15)
         case ast.Assign([ast.Name(name)], ast.Constant() | ast.Call() as value) if plan.in_loop(node):
             if written_number(value) or (name in plan.literals and isinstance(value, ast.Call)):
                 yield instead(node, f"{name} += {ast.unparse(value)}", 0.3)
@@ -305,7 +312,8 @@ def _rules(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     names = plan.parameters.get(called_name(node), [])
     given = [ast.unparse(each) for each in getattr(node, "args", ())] if isinstance(node, ast.Call) else []
     has_order = bool(names) and not any(map(str.__eq__, names, given))  # else an argument has its parameter's name
-    has_order |= called_name(node) in vars(bullet_world_reasoning)
+    is_method = isinstance(getattr(node, "func", None), ast.Attribute) and called_name(node) not in plan.functions
+    has_order |= called_name(node) in vars(bullet_world_reasoning) or (is_method and all(map(str.isidentifier, given)))
     has_order &= sum(each[0].isidentifier() for each in given) > 1  # others are literals
     for cost, doubtful, pattern, news in _PARSED:
         found: dict[str, str] = {}
@@ -422,16 +430,6 @@ def _slots(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
             yield instead(node, new, (0.2 if is_key else 0.5) + 0.05 * at, chance=chance)
 
 
-def _unused(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield a parameter that its function doesn't use."""
-    scope = plan.scope(node)
-    if isinstance(node, ast.Constant | ast.Name) and isinstance(scope, ast.FunctionDef) and node not in plan.called:
-        inside = [each for part in scope.body for each in ast.walk(part)]
-        unused = {each.arg for each in scope.args.args} - {getattr(each, "id", "self") for each in inside}
-        for each in sorted(unused) if node in inside else ():
-            yield instead(node, each, 0.3 if isinstance(node, ast.Constant) else 0.45)
-
-
 def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     """Yield other forms of an expression: operators, order of items, and the opposite of a condition."""
     match node:
@@ -443,6 +441,10 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
                 swaps, new = at >= len(turned), ast.unparse(type(node)(order, ast.Load()))
                 by_chance = swaps and isinstance(node.ctx, ast.Load)
                 yield instead(node, new, 0.42 if swaps else 0.35 + 0.1 * at, asks=True, chance=by_chance)
+        case ast.Dict([_, _], [one, other]):
+            exchanged = ((one, plan.segment(other)), (other, plan.segment(one)))
+            what = f"{ast.unparse(one)} and {ast.unparse(other)} exchanged"
+            yield Change(what, 0.42, exchanged, asks=True, chance=True)
         case ast.If(test, [*body], [ast.If(second, [*others]) as other]) if other.col_offset == node.col_offset:
             ends = (test, test), (second, second), (body[0], body[-1]), (others[0], others[-1])
             news = (plan.segment(*ends[at]) for at in (1, 0, 3, 2))
@@ -452,20 +454,6 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     if is_test and not isinstance(node, ast.Compare | ast.BoolOp | ast.UnaryOp):
         yield instead(node, f"not ({ast.unparse(node)})", 0.56)
         yield instead(node, f"{ast.unparse(node)} is not None", 0.4)
-
-
-def _never_held(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield pick-ups of an object that is placed, but never picked up; the latest first."""
-    if called_name(node) == "place" and isinstance(node, ast.Call) and "pick_up" in plan.defined:
-        slots = {each.arg: plan.segment(each) for each in node.keywords if each.arg in ("object", "arm")}
-        picks = (each.keywords for each in plan.nodes if isinstance(each, ast.Call) and called_name(each) == "pick_up")
-        is_held = any(slots.get("object", "") in map(plan.segment, given) for given in picks)
-        statement = next(each for each in plan.around(node) if isinstance(each, ast.stmt))
-        block = plan.block(statement)
-        for at, each in enumerate(block[block.index(statement) :: -1] if not is_held else ()):
-            place = plan.offset(each.lineno), plan.offset(each.lineno)
-            new = f"{' ' * each.col_offset}perform(pick_up({', '.join(slots.values())}))\n"
-            yield Change(f"{new.strip()} before line {each.lineno}", 0.3 + 0.02 * at, ((place, new),))
 
 
 def _objects(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
@@ -488,9 +476,9 @@ def similar_name(node: ast.Name, plan: PlanSyntax) -> Iterator[Change]:
 
 
 _OPERATORS: Final = (
-    *(_number, _frame, _angle, _assigned, _calls, _structure, _objects, _never_held),
+    *(_number, _frame, _angle, _assigned, _calls, _structure, _objects),
     *(_default, _late, _shadowing, _handling, _near_names, forgotten_call),
-    *(_results, _sorting, _rules, _python, _blocks, _slots, _unused),
+    *(_results, _sorting, _rules, _python, _blocks, _slots),
 )
 
 

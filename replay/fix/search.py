@@ -252,7 +252,8 @@ def _mark(trials: Trials, edit: Edit, file: Path, failed: Node | None) -> str:
     with Recording(file) as log:
         before, done = (each.find(status=State.SUCCEEDED) for each in (tree(trials.log), log.tree()))
         mark = "" if failed is None else changed_goal(before, done, failed, edit)
-        changed = [{*map(commanded, each.records(Mutation))} for each in (trials.log, log)]
+        records = (part.records(Mutation) for part in (trials.log, log))
+        changed = [{commanded(each) for each in part if not each.HasField("load_body")} for part in records]
         left = sorted(changed[0] - changed[1])
         mark = mark or (changed_place(trials.log, log) if edit.asks else "")
     if left and not mark:

@@ -315,11 +315,10 @@ def given_back(case: FailureCase) -> Iterator[Trial]:
     name, robot = next(iter(case.subjects), ""), case.robot.name if case.robot is not None else ""
     for taken in [each for each in case.motions("pick-up") if name in objects_in(each.parameters)][:1]:
         stood, lay = (_body(case, each, taken.started.seq) for each in (robot, name))
-        if lay is None:
-            continue
-        for trial in replaced(case, "target", phrases.vector(lay.position)):
+        at = phrases.vector(lay.position) if lay is not None else ""
+        for trial in replaced(case, "target", at) if at else ():
             pose = {f"{written(robot)}.position": (*stood.position, *stood.orientation)} if stood is not None else {}
-            words = f"place puts {name} to where it was taken, {phrases.vector(lay.position)},"
+            words = f"place puts {name} to where it was taken, {at},"
             yield replace(_set(case, None, words, pose), answers=trial.answers, succeeds=True)
 
 

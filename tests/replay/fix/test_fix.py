@@ -237,7 +237,6 @@ MISTAKES = {
     "formatted text": ("for a in b:\n    go('{a}.stl')\n", "for a in b:\n    go(f'{a}.stl')\n"),
     "swapped arguments": ("def f(a, b):\n    pass\nf(x, y)\n", "def f(a, b):\n    pass\nf(y, x)\n"),
     "forgotten slot": ("go(cup, arm=left)\ngo(mug)\n", "go(cup, arm=left)\ngo(mug, arm=left)\n"),
-    "unused parameter": ("def f(side):\n    return go('left')\n", "def f(side):\n    return go(side)\n"),
     "too shallow": ("for a in b:\n    go(a)\nn += 1\n", "for a in b:\n    go(a)\n    n += 1\n"),
     "index": ("go(x[i])\n", "go(x[i - 1])\n"),
     "membership": ("if a == 'x' or 'y':\n    go(a)\n", "if a in ('x', 'y'):\n    go(a)\n"),
@@ -328,10 +327,16 @@ MISTAKES = {
         "x = cup.get_position()\nperform(a)\ngo(x)\n",
     ),
     "lost list": ("x.get(a, []).append(b)\n", "x.setdefault(a, []).append(b)\n"),
-    "no pick-up": (
-        "from pycram import pick_up, place\nperform(go(1))\nperform(place(object=cup, target=x))\n",
-        "from pycram import pick_up, place\nperform(pick_up(object=cup))\nperform(go(1))\nperform(place(object=cup, target=x))\n",
+    "local variable": (
+        "class A:\n    def __init__(self):\n        self.load = None\n    def take(self, body):\n        load = body\n",
+        "class A:\n    def __init__(self):\n        self.load = None\n    def take(self, body):\n        self.load = body\n",
     ),
+    "rotation": ("x = a + u * cos(yaw) + v * sin(yaw)\n", "x = a + u * cos(yaw) - v * sin(yaw)\n"),
+    "conditional": ("z = top + h if up else low\n", "z = top + (h if up else low)\n"),
+    "wait": ("ready.wait_for()\n", "(ready == True).wait_for()\n"),
+    "type": ("go(cup.type)\n", "go(cup)\n"),
+    "first sum": ("x = list(accumulate(widths))\n", "x = list(accumulate(widths, initial=0))\n"),
+    "method's arguments": ("graph.add(one, other)\n", "graph.add(other, one)\n"),
 }
 
 
@@ -343,6 +348,21 @@ def test_typical_mistakes_have_an_inverse_without_doubt(kind: str) -> None:
     found = [edit for edit in edits if edit.text == after]
     assert not min(found).asks
     assert not min(found).chance
+
+
+def test_flags_and_exchanged_values_are_doubted() -> None:
+    for before, after in (
+        ("go(close=False)\n", "go(close=True)\n"),
+        ("x = {'a': 1, 'b': -1}\n", "x = {'a': -1, 'b': 1}\n"),
+    ):
+        assert {edit.chance for edit in Editor(before).edits(1) if edit.text == after} == {True}, before
+
+
+def test_a_slip_is_evidence_only_for_an_edit_that_mends_it() -> None:
+    text = "def grouped(rows, key):\n    return {a: list(b) for a, b in groupby(rows, key=key)}\n"
+    found = {"sorted(" in edit.text: edit.evidence(text) for edit in Editor(text).edits(2)}
+    assert "neighbours" in found[True]
+    assert not found[False], "another edit of that line"
 
 
 def test_a_condition_of_a_check_changes_only_if_it_is_always_true() -> None:
