@@ -48,6 +48,12 @@ REPO = Path(__file__).parents[3]
 OURS = re.compile("[Ss]oftware rasterizer|Failed to load examples|Failed to render screenshot")
 BINARY = str(Path(rerun_cli.__file__).with_name("rerun"))
 MARK = "PYCRAM_TEST_OF"  # in the environment of what a test starts, and of what that starts
+#: The code of a plan whose viewer has the time that it needs on a busy machine.
+PATIENT = """
+from recorder.viewer import live
+live._START_TIMEOUTS = dict.fromkeys(live.ViewerKind, 60.0)
+live._END_TIMEOUT = live._HAND_OVER_TIMEOUT = live._LINGER_TIMEOUT = 80.0
+"""
 LEAVING = 10.0  # s for a process to end by itself after the test
 PORTS = range(20_000, 32_000)  # below those that the system gives to connections while somebody looks for a free one
 LOCK = Path(tempfile.gettempdir()) / f"pycram-viewer-ports-{os.getuid()}"  # of all runs on this machine

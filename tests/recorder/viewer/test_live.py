@@ -24,7 +24,7 @@ from recorder.viewer import live
 from recorder.viewer.connection import Target, ViewerKind, free_port
 from replay.restore.verify import verify
 from replay.view import convert
-from tests.recorder.viewer.conftest import processes, rows_of, wait_until
+from tests.recorder.viewer.conftest import PATIENT, processes, rows_of, wait_until
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -59,15 +59,9 @@ HURRY = """
 from recorder.viewer import live
 live._START_TIMEOUTS = dict.fromkeys(live.ViewerKind, 0.0)
 live._END_TIMEOUT = 0.0
-live._LINGER_TIMEOUT = 80.0  # on a busy machine, its process has little of it
+live._HAND_OVER_TIMEOUT = live._LINGER_TIMEOUT = 80.0  # on a busy machine, its process has little of it
 """
 
-
-PATIENT = """
-from recorder.viewer import live
-live._START_TIMEOUTS = dict.fromkeys(live.ViewerKind, 60.0)
-live._HAND_OVER_TIMEOUT = 60.0
-"""
 
 BRIEF = """
 from recorder.viewer import live

@@ -27,7 +27,7 @@ from recorder.records import Argument, Mutation, Query, Task, to_json
 from recorder.tracing.span import Span
 from recorder.viewer import queries
 from replay.cli.main import main
-from tests.recorder.viewer.conftest import rows_of
+from tests.recorder.viewer.conftest import PATIENT, rows_of
 from tests.recorder.viewer.pictures import LIKENESS, MOMENTS, ROBOT, WORLD, correlation, golden, robot_pixels, structure
 from tests.recorder.viewer.shown import Shown, in_world, looked_for, small, view
 
@@ -89,7 +89,8 @@ def test_live_and_afterwards_show_the_same(
     tmp_path: Path, serve: Callable[[], Server], until: Callable[..., None]
 ) -> None:
     server, log, file = serve(), tmp_path / "live.mcap", tmp_path / "afterwards.rrd"
-    command = [sys.executable, "-m", "pycram", "demo", "--log", str(log), f"--rerun=connect:{server.url}"]
+    demo = f"{PATIENT}\nimport sys\nfrom pycram.cli import main\nsys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", demo, "demo", "--log", str(log), f"--rerun=connect:{server.url}"]
     subprocess.run(command, check=True, capture_output=True, cwd=REPO)
     afterwards = view(log, file)
     rows = rows_of(file)
