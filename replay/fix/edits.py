@@ -50,11 +50,12 @@ class Edit:
 
     def evidence(self, before: str) -> str:
         """Return what supports the edit of a source besides the success of its runs; "" for nothing."""
+        if self.kind == "_unit":
+            return "" if self.asks else "other numbers of the plan suggest it"
         slip, lines = oddities(before).get(self.line, ""), self.text.splitlines()
         is_inserted = len(lines) > before.count("\n") and before.splitlines()[self.line - 1] in lines
-        if is_strong(slip) and not is_inserted and slip not in oddities(self.text).values():
-            return f"that line: {slip}"
-        return "other numbers of the plan suggest it" if self.kind == "_number" and not self.asks else ""
+        mends = self.kind != "_number" and not is_inserted and slip not in oddities(self.text).values()
+        return f"that line: {slip}" if is_strong(slip) and mends else ""
 
 
 class Editor:

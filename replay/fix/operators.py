@@ -114,12 +114,14 @@ def _number(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
     for number, factor in enumerate(_FACTORS if value and not is_count and node not in plan.turns else ()):
         new = f"{value * factor:.6g}"  # without rounding errors, for the comparison too
         is_unit = value in plan.numbers and value >= _MANY * usual and float(new) <= usual
+        is_unit &= not isinstance(getattr(plan.parents[node], "op", None), ast.Mult | ast.Div)  # numbers without a unit
         is_unit |= factor == _FACTORS[2] and not value % _RIGHT_ANGLES
         cost = 0.25 + 0.05 * number if is_unit else 0.3 + 0.1 * number + 0.4 * (number > 2)
         cost += _PASSED * (called_name(plan.parents[node]) in plan.functions)
         what = f"{value} times {factor:.3g}"
         is_unclear = isinstance(plan.parents[node], ast.Dict) and math.radians(value) <= usual  # maybe an angle
-        yield instead(node, new, cost, what, asks=not is_unit, chance=not is_unit or is_unclear)
+        change = instead(node, new, cost, what, asks=not is_unit, chance=not is_unit or is_unclear)
+        yield change._replace(kind="_unit" if is_unit else "")
     if value and (isinstance(value, float) or node not in plan.counts | plan.turns):
         yield instead(node, f"{-value!r}", 0.46, f"the sign of {value}", asks=True)
     if isinstance(value, int) and node in plan.counts and called_name(plan.parents[node]) != "range":

@@ -363,6 +363,8 @@ def test_a_slip_is_evidence_only_for_an_edit_that_mends_it() -> None:
     found = {"sorted(" in edit.text: edit.evidence(text) for edit in Editor(text).edits(2)}
     assert "neighbours" in found[True]
     assert not found[False], "another edit of that line"
+    text = "def turned(yaw):\n    go(sin(yaw / 4), 0, cos(yaw / 4), limits[1])\n"
+    assert not any(edit.evidence(text) for edit in Editor(text).edits(2)), "no other number supports an edit"
 
 
 def test_a_condition_of_a_check_changes_only_if_it_is_always_true() -> None:

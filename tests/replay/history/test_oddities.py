@@ -41,7 +41,7 @@ CASES = [
     ("@cache\ndef f(a):\n    return a.get_position()\ng(f(1))", "@cache\ndef f(a):\n    return a.get_AABB()\ng(f(1))", 1, "keeps its first answer"),
     ("class A:\n    def f(self):\n        self.b = 0\n        b = 1\n        g(self.b)\nh(A().f())", "class A:\n    def f(self):\n        self.b = 0\n        b = 1\n        g(self.b, b)\nh(A().f())", 4, "not self.b"),
     ("with par:\n    perform(a)\n    b = c.get_position()\nf(b)", "with par:\n    perform(a)\nb = c.get_position()\nf(b)", 3, "before the motions"),
-    ("f([0, 0, sin(a), cos(a)])", "half = a / 2\nf([0, 0, sin(half), cos(half)])", 1, "half of the angle"),
+    ("f([0, 0, sin(a), cos(a)])", "half = a / 2\nf([0, 0, sin(half), cos(half)], [0, 0, sin(pi / 4), cos(pi / 4)])", 1, "half of the angle"),
     ("b = a.sort()\nf(b)", "b = sorted(a)\nf(b)", 1, "returns None"),
 ]  # fmt: skip
 
