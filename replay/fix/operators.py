@@ -233,15 +233,8 @@ def _handling(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
 
 
 def _calls(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
-    """Yield the call of a method instead of an attribute, and calls with a forgotten world."""
-    if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Load) and node not in plan.called:
-        owner = ast.unparse(node.value)
-        for method in plan.functions.values() if owner != "self" else ():
-            stores = (each for each in ast.walk(method) if isinstance(each, ast.Attribute) and each.attr == node.attr)
-            is_method = [each.arg for each in method.args.args] == ["self"] and method.name != "__init__"
-            if is_method and method.name in plan.returning and any(isinstance(each.ctx, ast.Store) for each in stores):
-                yield instead(node, f"{owner}.{method.name}()", 0.35)
-    elif called_name(node) == "Object" and isinstance(node, ast.Call):
+    """Yield calls with a forgotten world."""
+    if called_name(node) == "Object" and isinstance(node, ast.Call):
         worlds = sorted(plan.names["BulletWorld"]) if "world" not in {each.arg for each in node.keywords} else []
         for world in worlds if len(worlds) > 1 else ():
             yield instead(node, f"{plan.segment(node)[:-1]}, world={world})", 0.4, f"world={world}")
@@ -445,8 +438,7 @@ def _structure(node: ast.AST, plan: PlanSyntax) -> Iterator[Change]:
                 yield instead(node, new, 0.42 if swaps else 0.35 + 0.1 * at, asks=True, chance=by_chance)
         case ast.Dict([_, _], [one, other]):
             exchanged = ((one, plan.segment(other)), (other, plan.segment(one)))
-            what = f"{ast.unparse(one)} and {ast.unparse(other)} exchanged"
-            yield Change(what, 0.42, exchanged, asks=True, chance=True)
+            yield Change(f"{exchanged[1][1]} and {exchanged[0][1]} exchanged", 0.42, exchanged, asks=True, chance=True)
         case ast.If(test, [*body], [ast.If(second, [*others]) as other]) if other.col_offset == node.col_offset:
             ends = (test, test), (second, second), (body[0], body[-1]), (others[0], others[-1])
             news = (plan.segment(*ends[at]) for at in (1, 0, 3, 2))

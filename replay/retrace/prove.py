@@ -6,6 +6,7 @@ another way, the fork confirms the cause. A control run without changes must rep
 
 from __future__ import annotations
 
+import ast
 import re
 import threading
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Final, TypeAlias
 
+from recorder.plan_lines import syntax_nodes
 from recorder.records import Failure, Mutation, Run, Task, argument_values, format_failure
 from replay.compare import is_worded_alike, signature
 from replay.errors import ReplayError
@@ -38,7 +40,7 @@ _AT_ONCE: Final = 2  # number of parallel forks
 _MAX_TRIALS: Final = 3  # maximum number of forks for one cause
 _SECONDS: Final = (30.0, 10.0)  # maximum duration of a fork: in s, and as a multiple of the original run
 _WORD: Final = re.compile(r"[^\W\d]\w*")
-_End: TypeAlias = "tuple[str, Line | None]"  # signature and innermost line of a plan's failure
+_End: TypeAlias = "tuple[str, tuple[Line, ...]]"  # signature and lines of a plan's failure
 _RANK: Final = (CONFIRMED, IN_CODE, UNTESTED, REFUTED)
 
 
@@ -223,14 +225,24 @@ class Prover:
         ``end`` is the end of the fork, if the plan's own code makes the check.
         """
         said, is_before = phrases.failure(failure), False
-        if end is not None and self._end is not None and (line := end[1]) and (own := self._end[1]):
-            same = same or line == own
-            is_before = (line.file, line.function) == (own.file, own.function) and line.number < own.number
-        if same and _words(failure) <= _words(self._checked):  # it names the same things, perhaps with other numbers
+        if end is not None and self._end is not None and end[1] and self._end[1]:
+            same = same or end[1][-1] == self._end[1][-1]
+            is_before = self._is_before(end[1], self._end[1])
+        old, new = (set(_WORD.findall(each.message)) for each in (self._checked, failure))  # such as names of objects
+        if same and (new <= old or old <= new):
             return UNTESTED, f"the check still fails: {said}"
-        if not (same or later) and (failure.type != self._checked.type or is_before):
+        if not same and (is_before or (failure.type != self._checked.type and not later)):
             return UNTESTED, f"{said} happens before the check"
         return CONFIRMED, f"the check passes, and {'another check' if same else 'the plan'} fails later: {said}"
+
+    def _is_before(self, lines: Sequence[Line], others: Sequence[Line]) -> bool:
+        """Return whether the first different line of two call stacks comes before the other one, outside of a loop."""
+        differing = (pair for pair in zip(lines, others, strict=False) if pair[0].number != pair[1].number)
+        one, other = next(differing, (lines[0], lines[0]))
+        nodes = syntax_nodes(PlanSource(self._log).text(one.file))
+        loops = [each for each in nodes if isinstance(each, ast.For | ast.While) and each.lineno <= one.number]
+        again = any(other.number <= (each.end_lineno or 0) for each in loops)
+        return one.number < other.number and not again and (one.file, one.function) == (other.file, other.function)
 
     def succeeds(self, tried: TriedTrial) -> bool:
         """Return whether the failed task succeeds in a fork; without a task, whether the fork confirms the cause."""
@@ -244,11 +256,11 @@ class Prover:
         return signature(format_failure(failure), worded=self._worded)
 
     def _ended(self, log: RecordReader, end: Run | None) -> _End | None:
-        """Return the signature and the innermost line of a plan's failure; None if the plan succeeded."""
+        """Return the signature and the lines of a plan's failure; None if the plan succeeded."""
         if end is None:
             return None
         parsed = list(parse_traceback(end.failure.traceback, PlanSource(log)))
-        return self._signature(end.failure), parsed[-1].lines[-1] if parsed and parsed[-1].lines else None
+        return self._signature(end.failure), parsed[-1].lines if parsed else ()
 
     def _same_task(self, forked: RecordReader) -> tuple[Task | None, Task | None]:
         """Return the start and the end of the failed task in a fork, with the same parameters if possible."""
@@ -272,11 +284,6 @@ def _late(forked: RecordReader, step: int) -> int:
     changes = iter(forked.records(Mutation, step + 1))
     first = next(changes, None)
     return 0 if first is None or first.by_fork else next((each.seq for each in changes if each.by_fork), 0)
-
-
-def _words(failure: Failure) -> set[str]:
-    """Return the words of a check's message, such as names of objects."""
-    return set(_WORD.findall(failure.message))
 
 
 def _alike(log: RecordReader, task: Task, *, exact: bool) -> list[Task]:

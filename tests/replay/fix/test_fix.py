@@ -185,10 +185,6 @@ MISTAKES = {
     "precedence": ("y = a + b / 2\n", "y = (a + b) / 2\n"),
     "degrees": ("import math\nturn(sin(degrees / 2))\n", "import math\nturn(sin(math.radians(degrees) / 2))\n"),
     "bounds": ("for i in range(1, len(x)):\n    go(i)\n", "for i in range(len(x)):\n    go(i)\n"),
-    "method": (
-        "class Belief:\n    def look(self):\n        self.seen = 1\n        return self.seen\ngo(b.seen)\n",
-        "class Belief:\n    def look(self):\n        self.seen = 1\n        return self.seen\ngo(b.look())\n",
-    ),
     "reset": (
         "y = 0\nfor row in rows:\n    y += 1\n    go(y)\n",
         "for row in rows:\n    y = 0\n    y += 1\n    go(y)\n",

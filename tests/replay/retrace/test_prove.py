@@ -223,6 +223,25 @@ def test_a_check_that_still_fails_with_another_number_confirms_nothing(tmp_path:
     assert all(text in ends[f"{height}"].text for height, text in texts.items())
 
 
+@pytest.mark.slow
+def test_a_fork_that_fails_before_a_check_or_in_more_than_before_confirms_nothing(tmp_path: Path) -> None:
+    log = recorded(
+        tmp_path,
+        'milk, cup = (Object(each, each, f"{each}.stl", [x, 0, 0.8]) for x, each in enumerate(("milk", "cup")))\n'
+        "for _ in range(3):\n    world.simulate(0.01)\n"
+        "if cup.get_position()[0] < -5:\n    for _ in range(9):\n        world.simulate(0.01)\n    milk.turn()\n"
+        "missing = [each.name for each in (milk, cup) if each.get_position()[0] < 0.5]\nassert not missing, missing\n",
+    )
+    with replay.open(log) as recording:
+        why = recording.why()
+        texts = {"cup.position=0,0,0.8": "the check still fails", "cup.position=-9,0,0.8": "happens before the check"}
+        claims = [Claim((why.step,), Trial(why.step - 2, "", (place,), compares=True)) for place in texts]
+        proven, _ = prove(recording, replace(why, causes=tuple(claims)))
+    assert {proof.verdict for proof in proven.proofs} == {"untested"}
+    for proof in proven.proofs:
+        assert texts[proof.forks[0].trial.settings[0]] in proof.text
+
+
 @pytest.mark.costly
 def test_a_mixed_up_hand_is_confirmed_though_it_holds_something_else(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
