@@ -239,7 +239,8 @@ class Prover:
         """Return whether the first different line of two call stacks comes before the other one, outside of a loop."""
         differing = (pair for pair in zip(lines, others, strict=False) if pair[0].number != pair[1].number)
         one, other = next(differing, (lines[0], lines[0]))
-        nodes = syntax_nodes(PlanSource(self._log).text(one.file))
+        with self._reading:
+            nodes = syntax_nodes(PlanSource(self._log).text(one.file))
         loops = [each for each in nodes if isinstance(each, ast.For | ast.While) and each.lineno <= one.number]
         again = any(other.number <= (each.end_lineno or 0) for each in loops)
         return one.number < other.number and not again and (one.file, one.function) == (other.file, other.function)
